@@ -1,0 +1,1 @@
+//! The service side: preparing a scene, dispatching tiles, assembling the image.

@@ -1,0 +1,11 @@
+//! SAH kd-tree whose inner nodes carry up to two triangle references.
+//!
+//! Nodes are 8- and 16-byte slots; see [`node`] for the bits.
+
+pub mod build;
+pub mod node;
+pub mod traverse;
+pub mod validate;
+
+pub use build::{BuildOptions, Tree, build};
+pub use traverse::{TreeView, Triangles};

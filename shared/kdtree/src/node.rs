@@ -1,0 +1,1 @@
+//! Slot layout (field by field, to be written by the kd-tree's author).

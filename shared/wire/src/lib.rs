@@ -1,0 +1,1 @@
+//! Messages between master and worker, their codec, limits and versions.

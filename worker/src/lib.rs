@@ -1,0 +1,1 @@
+//! Holds a pack, renders tiles and returns them in batches.
