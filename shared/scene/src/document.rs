@@ -21,7 +21,7 @@ pub struct Scene {
     pub images: Vec<Image>,
     /// Lights in world space (node transforms applied).
     pub lights: Vec<Light>,
-    /// Cameras in world space (node transforms applied).
+    /// Cameras in world space (node transforms applied); the first is the default.
     pub cameras: Vec<Camera>,
     /// What a miss sees.
     pub environment: Environment,
@@ -29,6 +29,9 @@ pub struct Scene {
     pub ambient: [f32; 3],
     /// What was read but not understood, or mended, one line each: what, where, what it means for the picture.
     pub warnings: Vec<String>,
+    /// What a user should know about where the scene came from, one line each: a generator's seed and figures, and every
+    /// default that was put in because the source does not state it.
+    pub notes: Vec<String>,
     /// Faulty input that was left out, by kind; every kind that occurred is listed with its count.
     pub dropped: Vec<(&'static str, u64)>,
 }

@@ -14,4 +14,5 @@ pub mod selection;
 pub use document::*;
 pub use error::SceneError;
 pub use flatten::FlatMesh;
+pub use scene_file::{LoadOptions, load};
 pub use selection::{LeftOut, Selection, Without};
