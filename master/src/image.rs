@@ -1,0 +1,323 @@
+//! The frame buffer, its hash, and PNG and EXR files.
+
+use crate::output::{OutputError, OutputFile};
+use std::fmt;
+use std::io::{Seek, Write};
+
+/// A pixel's bytes on the wire, little endian, rows from the top, no padding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PixelFormat {
+    /// sRGB-coded red, green, blue and linear straight alpha, 8 bits each.
+    Rgba8,
+    /// The same in 16 bits each.
+    Rgba16,
+    /// Nine words: `f32` linear R, G, B (premultiplied), A, depth, normal x, y, z; `u32` triangle id.
+    Layers,
+}
+
+impl PixelFormat {
+    /// Bytes of one pixel.
+    pub const fn bytes_per_pixel(self) -> usize {
+        match self {
+            Self::Rgba8 => 4,
+            Self::Rgba16 => 8,
+            Self::Layers => 36,
+        }
+    }
+
+    /// The name that goes into the image hash and into reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Rgba8 => "rgba8",
+            Self::Rgba16 => "rgba16",
+            Self::Layers => "layers",
+        }
+    }
+}
+
+/// A whole image in the frame's wire format.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FrameBuffer {
+    width: u32,
+    height: u32,
+    format: PixelFormat,
+    data: Vec<u8>,
+}
+
+/// A tile that does not fit its frame; the sender's fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TileError {
+    /// The rectangle leaves the image.
+    #[error("the tile at {x}, {y} of {width}x{height} pixels leaves the image")]
+    Outside {
+        /// Left column.
+        x: u32,
+        /// Top row.
+        y: u32,
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
+    /// The bytes do not fill the rectangle.
+    #[error("a tile of {expected} bytes came with {found}")]
+    Length {
+        /// Bytes of the rectangle.
+        expected: u64,
+        /// Bytes that came.
+        found: u64,
+    },
+}
+
+/// BLAKE3 of an image; equal hashes mean equal pixels within one format and numeric class.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct ImageHash(pub [u8; 32]);
+
+impl fmt::Display for ImageHash {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl FrameBuffer {
+    /// An image of zeros. The caller has checked the size against its limits: `width * height * bytes_per_pixel` bytes are taken.
+    pub fn new(width: u32, height: u32, format: PixelFormat) -> Self {
+        let data = vec![0; width as usize * height as usize * format.bytes_per_pixel()];
+        Self { width, height, format, data }
+    }
+
+    /// Columns.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// What a pixel holds.
+    pub fn format(&self) -> PixelFormat {
+        self.format
+    }
+
+    /// All rows from the top, without padding.
+    pub fn data(&self) -> &[u8] {
+        &self.data
+    }
+
+    /// Copies a tile of `width` by `height` pixels to column `x`, row `y`.
+    pub fn put(&mut self, x: u32, y: u32, width: u32, height: u32, bytes: &[u8]) -> Result<(), TileError> {
+        let fits = |start: u32, length: u32, end: u32| start.checked_add(length).is_some_and(|e| e <= end);
+        if !fits(x, width, self.width) || !fits(y, height, self.height) {
+            return Err(TileError::Outside { x, y, width, height });
+        }
+        let pixel = self.format.bytes_per_pixel();
+        let row = width as usize * pixel;
+        let expected = row * height as usize;
+        if bytes.len() != expected {
+            return Err(TileError::Length { expected: expected as u64, found: bytes.len() as u64 });
+        }
+        if row == 0 {
+            return Ok(());
+        }
+        let stride = self.width as usize * pixel;
+        let first = y as usize * stride + x as usize * pixel;
+        for (source, target) in bytes.chunks_exact(row).zip(self.data[first..].chunks_mut(stride)) {
+            target[..row].copy_from_slice(source);
+        }
+        Ok(())
+    }
+
+    /// BLAKE3 of the format's name, width and height (`u32`, little endian) and the rows.
+    pub fn hash(&self) -> ImageHash {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(self.format.name().as_bytes());
+        hasher.update(&self.width.to_le_bytes());
+        hasher.update(&self.height.to_le_bytes());
+        hasher.update(&self.data);
+        ImageHash(*hasher.finalize().as_bytes())
+    }
+
+    /// Writes the image to `file`: EXR for [`PixelFormat::Layers`], else PNG.
+    pub fn write(&self, file: &OutputFile) -> Result<(), OutputError> {
+        match self.format {
+            PixelFormat::Layers => file.write(|w| write_exr(self, w)),
+            PixelFormat::Rgba8 | PixelFormat::Rgba16 => file.write(|w| write_png(self, w)),
+        }
+    }
+}
+
+fn write_png(image: &FrameBuffer, to: &mut (impl Write + Seek)) -> image::ImageResult<()> {
+    use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
+    let encoder = PngEncoder::new(to);
+    match image.format {
+        PixelFormat::Rgba16 => {
+            // The encoder takes 16-bit samples in the machine's order and turns them into PNG's.
+            let samples: Vec<u8> = image
+                .data
+                .chunks_exact(2)
+                .flat_map(|b| u16::from_le_bytes([b[0], b[1]]).to_ne_bytes())
+                .collect();
+            encoder.write_image(&samples, image.width, image.height, ExtendedColorType::Rgba16)
+        }
+        _ => encoder.write_image(&image.data, image.width, image.height, ExtendedColorType::Rgba8),
+    }
+}
+
+/// Channel names in the order of the words of [`PixelFormat::Layers`]; the last holds `u32`, the others `f32`.
+const CHANNELS: [&str; 9] =
+    ["R", "G", "B", "A", "depth.Z", "normal.X", "normal.Y", "normal.Z", "id.triangle"];
+
+fn write_exr(image: &FrameBuffer, to: &mut (impl Write + Seek)) -> exr::error::UnitResult {
+    use exr::prelude::*;
+    let words = |channel: usize| {
+        image.data.chunks_exact(36).map(move |pixel| {
+            let at = channel * 4;
+            u32::from_le_bytes([pixel[at], pixel[at + 1], pixel[at + 2], pixel[at + 3]])
+        })
+    };
+    let channels = CHANNELS.iter().enumerate().map(|(index, &name)| {
+        let samples = if name == "id.triangle" {
+            FlatSamples::U32(words(index).collect())
+        } else {
+            FlatSamples::F32(words(index).map(f32::from_bits).collect())
+        };
+        // Only colours may be coded by how they look; the rest is plain data.
+        let quantize_linearly = !matches!(name, "R" | "G" | "B");
+        AnyChannel { name: Text::from(name), sample_data: samples, quantize_linearly, sampling: Vec2(1, 1) }
+    });
+    let encoding = Encoding {
+        compression: Compression::ZIP16,
+        blocks: Blocks::ScanLines,
+        line_order: LineOrder::Increasing,
+    };
+    let size = Vec2(image.width as usize, image.height as usize);
+    let mut attributes = LayerAttributes::default();
+    attributes.software_name = Some(Text::from("tessera"));
+    let layer = Layer::new(size, attributes, encoding, AnyChannels::sort(channels.collect()));
+    Image::from_layer(layer).write().non_parallel().to_buffered(to)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn gradient(width: u32, height: u32, format: PixelFormat) -> FrameBuffer {
+        let mut image = FrameBuffer::new(width, height, format);
+        for (i, byte) in image.data.iter_mut().enumerate() {
+            *byte = (i * 31 % 251) as u8;
+        }
+        image
+    }
+
+    fn write(image: &FrameBuffer, name: &str) -> (tempfile::TempDir, std::path::PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        image.write(&OutputFile::check(&path).unwrap()).unwrap();
+        (folder, path)
+    }
+
+    #[test]
+    fn the_hash_is_what_the_readme_says() {
+        let image = gradient(3, 2, PixelFormat::Rgba8);
+        let mut bytes = b"rgba8\x03\0\0\0\x02\0\0\0".to_vec();
+        bytes.extend_from_slice(&image.data);
+        assert_eq!(image.hash().0, *blake3::hash(&bytes).as_bytes());
+        assert_eq!(image.hash().to_string(), blake3::hash(&bytes).to_hex().to_string());
+    }
+
+    #[test]
+    fn png_keeps_every_code() {
+        let image = gradient(7, 5, PixelFormat::Rgba8);
+        let (_folder, path) = write(&image, "a.png");
+        assert_eq!(image::open(path).unwrap().as_rgba8().unwrap().as_raw(), &image.data);
+
+        let image = gradient(7, 5, PixelFormat::Rgba16);
+        let (_folder, path) = write(&image, "a.png");
+        let back: Vec<u8> = image::open(path)
+            .unwrap()
+            .as_rgba16()
+            .unwrap()
+            .as_raw()
+            .iter()
+            .flat_map(|v| v.to_le_bytes())
+            .collect();
+        assert_eq!(back, image.data);
+    }
+
+    #[test]
+    fn exr_keeps_every_bit_of_every_layer() {
+        use exr::prelude::*;
+        let mut image = gradient(19, 35, PixelFormat::Layers);
+        // A miss: infinite depth, no triangle.
+        image.data[16..20].copy_from_slice(&f32::INFINITY.to_le_bytes());
+        image.data[32..36].copy_from_slice(&u32::MAX.to_le_bytes());
+        let (_folder, path) = write(&image, "a.exr");
+        let file = read()
+            .no_deep_data()
+            .largest_resolution_level()
+            .all_channels()
+            .all_layers()
+            .all_attributes()
+            .from_file(path)
+            .unwrap();
+        assert_eq!(file.layer_data.len(), 1);
+        let layer = &file.layer_data[0];
+        assert_eq!((layer.size.0, layer.size.1), (19, 35));
+        assert_eq!(layer.channel_data.list.len(), 9);
+        for (index, name) in CHANNELS.iter().enumerate() {
+            let found = layer.channel_data.list.iter().find(|c| c.name.eq(*name)).unwrap();
+            let bits: Vec<u32> = match &found.sample_data {
+                FlatSamples::F32(v) => v.iter().map(|x| x.to_bits()).collect(),
+                FlatSamples::U32(v) => v.clone(),
+                FlatSamples::F16(_) => panic!("{name} must not be half precision"),
+            };
+            assert_eq!(matches!(found.sample_data, FlatSamples::U32(_)), index == 8, "{name}");
+            let expected: Vec<u32> = image
+                .data
+                .chunks_exact(36)
+                .map(|p| u32::from_le_bytes(p[index * 4..index * 4 + 4].try_into().unwrap()))
+                .collect();
+            assert_eq!(bits, expected, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_tile_must_fit() {
+        let mut image = FrameBuffer::new(4, 4, PixelFormat::Rgba8);
+        let outside = |x, y, w, h| TileError::Outside { x, y, width: w, height: h };
+        assert_eq!(image.put(3, 0, 2, 1, &[0; 8]), Err(outside(3, 0, 2, 1)));
+        assert_eq!(image.put(0, 4, 1, 1, &[0; 4]), Err(outside(0, 4, 1, 1)));
+        assert_eq!(image.put(u32::MAX, 0, 2, 1, &[0; 8]), Err(outside(u32::MAX, 0, 2, 1)));
+        assert_eq!(image.put(0, 0, 2, 2, &[0; 15]), Err(TileError::Length { expected: 16, found: 15 }));
+        assert_eq!(image.put(4, 4, 0, 0, &[]), Ok(()));
+    }
+
+    proptest! {
+        #[test]
+        fn tiles_in_any_order_make_the_image(width in 1u32..40, height in 1u32..40, tile in 1u32..17, reverse: bool) {
+            let whole = gradient(width, height, PixelFormat::Rgba16);
+            let mut made = FrameBuffer::new(width, height, PixelFormat::Rgba16);
+            let mut corners: Vec<_> = (0..height)
+                .step_by(tile as usize)
+                .flat_map(|y| (0..width).step_by(tile as usize).map(move |x| (x, y)))
+                .collect();
+            if reverse {
+                corners.reverse();
+            }
+            for (x, y) in corners {
+                let (w, h) = (tile.min(width - x), tile.min(height - y));
+                let bytes: Vec<u8> = (y..y + h)
+                    .flat_map(|row| {
+                        let first = (row * width + x) as usize * 8;
+                        whole.data[first..first + w as usize * 8].to_vec()
+                    })
+                    .collect();
+                made.put(x, y, w, h, &bytes).unwrap();
+            }
+            prop_assert_eq!(made.hash(), whole.hash());
+        }
+    }
+}

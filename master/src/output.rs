@@ -1,0 +1,187 @@
+//! Files that are written whole or not at all.
+
+use std::fs;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// Why a file cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum OutputError {
+    /// The path cannot name a file that we write.
+    #[error("cannot write {path}: {what}", path = path.display())]
+    Target {
+        /// The path.
+        path: PathBuf,
+        /// What is wrong with it and what to do.
+        what: String,
+    },
+    /// The system refused.
+    #[error("cannot write {path}: {source}", path = path.display())]
+    Io {
+        /// The path.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+}
+
+/// A file to be written later, its folder checked now.
+///
+/// Nothing exists under the final name before [`OutputFile::write`] has succeeded: the content goes to a temporary name in the
+/// same folder, which is renamed at the end and removed on every failure.
+#[derive(Clone, Debug)]
+pub struct OutputFile {
+    path: PathBuf,
+}
+
+impl OutputFile {
+    /// Checks that `path` can be written: its folder exists and takes new files, and nothing but a plain file lies at `path`.
+    /// Meant to be called before work of minutes begins.
+    pub fn check(path: &Path) -> Result<Self, OutputError> {
+        let refuse = |what: &str| OutputError::Target { path: path.to_owned(), what: what.into() };
+        if path.file_name().is_none() {
+            return Err(refuse("it does not name a file; give a file name"));
+        }
+        // A link is followed, so that the file it stands for is replaced and not the link.
+        let target = match fs::metadata(path) {
+            Ok(found) if found.is_dir() => return Err(refuse("it is a folder; give a file name inside it")),
+            Ok(found) if !found.is_file() => return Err(refuse("it is not a plain file")),
+            Ok(_) => {
+                fs::canonicalize(path).map_err(|source| OutputError::Io { path: path.to_owned(), source })?
+            }
+            Err(_) => path.to_owned(),
+        };
+        let folder = folder_of(&target);
+        if !folder.is_dir() {
+            return Err(refuse(&format!("the folder {} does not exist; create it first", folder.display())));
+        }
+        let output = Self { path: target };
+        drop(output.temporary()?);
+        Ok(output)
+    }
+
+    /// Where the file will lie.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Writes the file with `fill` and puts it in place.
+    pub fn write<E>(
+        &self,
+        fill: impl FnOnce(&mut BufWriter<&mut fs::File>) -> Result<(), E>,
+    ) -> Result<(), OutputError>
+    where
+        E: std::fmt::Display,
+    {
+        let mut temporary = self.temporary()?;
+        let io = |source| OutputError::Io { path: self.path.clone(), source };
+        let mut writer = BufWriter::new(temporary.as_file_mut());
+        fill(&mut writer)
+            .map_err(|e| OutputError::Target { path: self.path.clone(), what: one_line(&e.to_string()) })?;
+        writer.flush().map_err(io)?;
+        drop(writer);
+        temporary.persist(&self.path).map_err(|e| io(e.error))?;
+        Ok(())
+    }
+
+    /// Writes `bytes` as the whole file.
+    pub fn write_bytes(&self, bytes: &[u8]) -> Result<(), OutputError> {
+        self.write(|w| w.write_all(bytes))
+    }
+
+    fn temporary(&self) -> Result<tempfile::NamedTempFile, OutputError> {
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".tessera-").suffix(".part");
+        #[cfg(unix)]
+        {
+            // As any new file: what the umask leaves of read and write for all (the crate's own default is the owner alone).
+            use std::os::unix::fs::PermissionsExt;
+            builder.permissions(fs::Permissions::from_mode(0o666));
+        }
+        builder
+            .tempfile_in(folder_of(&self.path))
+            .map_err(|source| OutputError::Io { path: self.path.clone(), source: plain(source) })
+    }
+}
+
+/// The folder of a file name; a bare name lies in the current one.
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// The system's reason without the temporary name that the `tempfile` crate adds to it.
+fn plain(error: io::Error) -> io::Error {
+    match error.raw_os_error() {
+        Some(code) => io::Error::from_raw_os_error(code),
+        None => io::Error::from(error.kind()),
+    }
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<_> = fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_file_appears_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = OutputFile::check(&folder.path().join("a.bin")).unwrap();
+        assert!(names(folder.path()).is_empty(), "checking must leave nothing behind");
+        out.write_bytes(b"first").unwrap();
+        out.write_bytes(b"second").unwrap();
+        assert_eq!(fs::read(folder.path().join("a.bin")).unwrap(), b"second");
+        assert_eq!(names(folder.path()), ["a.bin"]);
+    }
+
+    #[test]
+    fn a_failed_write_keeps_the_old_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = OutputFile::check(&folder.path().join("a.bin")).unwrap();
+        out.write_bytes(b"old").unwrap();
+        let failed = out.write(|w| {
+            w.write_all(b"half")?;
+            Err(io::Error::other("disk\nfull"))
+        });
+        assert_eq!(failed.unwrap_err().to_string().lines().count(), 1);
+        assert_eq!(fs::read(folder.path().join("a.bin")).unwrap(), b"old");
+        assert_eq!(names(folder.path()), ["a.bin"]);
+    }
+
+    #[test]
+    fn bad_targets_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let check = |path: &Path, says: &str| {
+            let error = OutputFile::check(path).unwrap_err().to_string();
+            assert!(error.contains(says), "{error}");
+        };
+        check(&folder.path().join("none/a.png"), "does not exist; create it first");
+        check(folder.path(), "is a folder");
+        check(Path::new("/"), "does not name a file");
+        #[cfg(unix)]
+        check(Path::new("/dev/null"), "not a plain file");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_is_followed() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, link) = (folder.path().join("file"), folder.path().join("link"));
+        fs::write(&file, b"old").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        OutputFile::check(&link).unwrap().write_bytes(b"new").unwrap();
+        assert_eq!(fs::read(&file).unwrap(), b"new");
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+    }
+}
