@@ -4,36 +4,7 @@ use crate::output::{OutputError, OutputFile};
 use std::fmt;
 use std::io::{Seek, Write};
 
-/// A pixel's bytes on the wire, little endian, rows from the top, no padding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PixelFormat {
-    /// sRGB-coded red, green, blue and linear straight alpha, 8 bits each.
-    Rgba8,
-    /// The same in 16 bits each.
-    Rgba16,
-    /// Nine words: `f32` linear R, G, B (premultiplied), A, depth, normal x, y, z; `u32` triangle id.
-    Layers,
-}
-
-impl PixelFormat {
-    /// Bytes of one pixel.
-    pub const fn bytes_per_pixel(self) -> usize {
-        match self {
-            Self::Rgba8 => 4,
-            Self::Rgba16 => 8,
-            Self::Layers => 36,
-        }
-    }
-
-    /// The name that goes into the image hash and into reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Rgba8 => "rgba8",
-            Self::Rgba16 => "rgba16",
-            Self::Layers => "layers",
-        }
-    }
-}
+pub use tessera_wire::PixelFormat;
 
 /// A whole image in the frame's wire format.
 #[derive(Clone, Debug, PartialEq, Eq)]

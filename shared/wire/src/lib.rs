@@ -1,1 +1,28 @@
 //! Messages between master and worker, their codec, limits and versions.
+//!
+//! `PROTOCOL.md` beside this crate says who sends what to whom and why. Nothing here knows a socket, a clock, or a type of another
+//! room: plain numbers and newtype ids only.
+//!
+//! A connection has a **control** pipe in both directions ([`ToMaster`], [`ToWorker`]) and a **bulk** pipe in both directions
+//! ([`PackChunk`] towards the worker, [`BatchHeader`] towards the master), whose frames are followed by raw bytes.
+
+pub mod codec;
+pub mod limits;
+
+mod bulk;
+mod error;
+mod frame;
+mod grid;
+mod ids;
+mod message;
+mod ticket;
+mod version;
+
+pub use bulk::{BatchHeader, PackChunk, Rays, TileEntry};
+pub use error::{AbortCode, PackRefusal, Refusal};
+pub use frame::{Camera, Features, Frame, FrameError, PixelFormat, ReturnMode};
+pub use grid::{Rect, TileGrid};
+pub use ids::{Attempt, FrameId, PackId, TileId, WorkerId};
+pub use message::{Hello, ToMaster, ToWorker};
+pub use ticket::LocalTicket;
+pub use version::Version;

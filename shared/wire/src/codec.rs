@@ -1,0 +1,91 @@
+//! The only place that knows bincode: frames of `u32` length (little endian) and an encoded message.
+//!
+//! A length is checked against the caller's limit before anything is reserved, bincode counts what it would reserve for lists and
+//! texts against the same limit, and bytes left over after a message are an error.
+
+use crate::{BatchHeader, LocalTicket, PackChunk, ToMaster, ToWorker, limits};
+use bincode::{Decode, Encode, config};
+
+/// Bytes before each encoded message.
+pub const PREFIX_BYTES: usize = 4;
+
+/// A type that travels in a frame.
+pub trait Message: Encode + Decode<()> {
+    /// Greatest encoded length, and greatest size of what decoding reserves.
+    const LIMIT: usize;
+}
+
+impl Message for ToMaster {
+    const LIMIT: usize = limits::CONTROL_BYTES;
+}
+impl Message for ToWorker {
+    const LIMIT: usize = limits::CONTROL_BYTES;
+}
+impl Message for PackChunk {
+    const LIMIT: usize = limits::CHUNK_HEADER_BYTES;
+}
+impl Message for BatchHeader {
+    const LIMIT: usize = limits::HEADER_BYTES;
+}
+impl Message for LocalTicket {
+    const LIMIT: usize = limits::CONTROL_BYTES;
+}
+
+/// Why bytes are not a message. The sender is at fault; the connection cannot go on.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CodecError {
+    /// A length above its limit.
+    #[error("a message of {length} bytes: at most {limit} are allowed here")]
+    TooLong {
+        /// Announced.
+        length: usize,
+        /// Allowed.
+        limit: usize,
+    },
+    /// Bytes that do not decode.
+    #[error("malformed message: {0}")]
+    Malformed(String),
+    /// Bytes behind the message.
+    #[error("{0} bytes left over behind a message")]
+    Trailing(usize),
+}
+
+/// The frame of `message`: prefix and encoded bytes.
+///
+/// Fails only with [`CodecError::TooLong`], for a message beyond its own limit.
+pub fn encode<M: Message>(message: &M) -> Result<Vec<u8>, CodecError> {
+    let mut frame = vec![0; PREFIX_BYTES];
+    let length = bincode::encode_into_std_write(message, &mut frame, config::standard())
+        .map_err(|e| CodecError::Malformed(e.to_string()))?;
+    if length > M::LIMIT {
+        return Err(CodecError::TooLong { length, limit: M::LIMIT });
+    }
+    // Every limit is below 2^32 (checked below).
+    frame[..PREFIX_BYTES].copy_from_slice(&(length as u32).to_le_bytes());
+    Ok(frame)
+}
+
+const _: () = assert!(limits::CONTROL_BYTES < u32::MAX as usize && limits::HEADER_BYTES < u32::MAX as usize);
+
+/// The length that a prefix announces, checked against `limit` (a message's own limit, or a tighter one).
+pub fn body_length(prefix: [u8; PREFIX_BYTES], limit: usize) -> Result<usize, CodecError> {
+    let length = u32::from_le_bytes(prefix) as usize;
+    if length > limit { Err(CodecError::TooLong { length, limit }) } else { Ok(length) }
+}
+
+/// The message in `body`, a frame without its prefix.
+pub fn decode<M: Message>(body: &[u8]) -> Result<M, CodecError> {
+    // bincode's limit is a type: the two sizes that occur are spelled out, and the smallest that serves is taken.
+    let decoded = if body.len() > M::LIMIT {
+        return Err(CodecError::TooLong { length: body.len(), limit: M::LIMIT });
+    } else if M::LIMIT <= limits::CONTROL_BYTES {
+        bincode::decode_from_slice(body, config::standard().with_limit::<{ limits::CONTROL_BYTES }>())
+    } else {
+        bincode::decode_from_slice(body, config::standard().with_limit::<{ limits::HEADER_BYTES }>())
+    };
+    let (message, used) = decoded.map_err(|e| CodecError::Malformed(e.to_string()))?;
+    match body.len() - used {
+        0 => Ok(message),
+        left => Err(CodecError::Trailing(left)),
+    }
+}

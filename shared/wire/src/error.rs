@@ -1,0 +1,98 @@
+//! Reasons: why a worker is refused, why it refuses a pack, why a connection is cut.
+
+use crate::PackId;
+use bincode::{Decode, Encode};
+
+/// Why the master does not take a worker. Sent in `Refuse`; the worker should not try again unchanged.
+#[derive(Clone, Debug, PartialEq, Eq, Encode, Decode, thiserror::Error)]
+pub enum Refusal {
+    /// No common protocol version.
+    #[error("no common protocol version: the master speaks {supported:?}")]
+    Version {
+        /// What the master speaks.
+        supported: Vec<u16>,
+    },
+    /// The worker's arithmetic differs from the cluster's: its pixels would not match.
+    #[error("numeric class differs: the cluster renders in class `{expected}`")]
+    NumericClass {
+        /// The class of the cluster.
+        expected: String,
+    },
+    /// A number or a text in `Hello` is out of range.
+    #[error("malformed hello: {detail}")]
+    Malformed {
+        /// What is wrong.
+        detail: String,
+    },
+    /// The cluster has as many workers as it takes.
+    #[error("the cluster is full")]
+    Full,
+}
+
+/// Why a worker cannot hold a pack.
+#[derive(Clone, Debug, PartialEq, Eq, Encode, Decode, thiserror::Error)]
+pub enum PackRefusal {
+    /// It does not fit the worker's memory.
+    #[error("out of memory: the pack needs {needs} bytes, the worker has {has}")]
+    OutOfMemory {
+        /// Bytes of the pack.
+        needs: u64,
+        /// Bytes that the worker may use.
+        has: u64,
+    },
+    /// The bytes that arrived have another hash than was offered.
+    #[error("hash mismatch: the bytes that arrived have the id {got}")]
+    HashMismatch {
+        /// What they hash to.
+        got: PackId,
+    },
+    /// Chunks out of order, too long, or of another pack.
+    #[error("bad transfer: {detail}")]
+    Transfer {
+        /// What is wrong.
+        detail: String,
+    },
+    /// The content is not a valid pack.
+    #[error("not a valid pack: {detail}")]
+    Invalid {
+        /// What is wrong.
+        detail: String,
+    },
+}
+
+/// Why a connection is cut; the number is also QUIC's application close code. One line each, numbers are never reused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Encode, Decode, thiserror::Error)]
+#[repr(u32)]
+pub enum AbortCode {
+    /// 0: nothing is wrong, the work is done.
+    #[error("done")]
+    Done = 0,
+    /// 1: a message that the receiver's state does not allow.
+    #[error("unexpected message")]
+    Unexpected = 1,
+    /// 2: bytes that do not decode, or a length above its limit.
+    #[error("malformed message")]
+    Malformed = 2,
+    /// 3: a frame whose parameters are out of range, or of a pack that the worker does not hold.
+    #[error("bad frame")]
+    BadFrame = 3,
+    /// 4: tiles or pixels that do not belong to the frame.
+    #[error("bad tiles")]
+    BadTiles = 4,
+    /// 5: the peer did not answer in time.
+    #[error("timed out")]
+    Timeout = 5,
+    /// 6: the peer was refused; the reason went ahead in `Refuse`.
+    #[error("refused")]
+    Refused = 6,
+    /// 7: the sender has failed in itself (its message says how).
+    #[error("internal failure")]
+    Internal = 7,
+}
+
+impl AbortCode {
+    /// The number on the wire and in QUIC's close frame.
+    pub const fn number(self) -> u32 {
+        self as u32
+    }
+}

@@ -1,0 +1,267 @@
+//! What a frame asks of a worker.
+
+use crate::{FrameId, PackId, TileGrid, limits};
+use bincode::{Decode, Encode};
+use std::{fmt, str::FromStr};
+
+/// Everything that a worker must know to render any tile of a frame. Master to every worker, once a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Encode, Decode)]
+pub struct Frame {
+    /// Number of the frame in this session.
+    pub frame: FrameId,
+    /// The pack that is rendered; the worker must hold it.
+    pub pack: PackId,
+    /// The view, in the pack's local units.
+    pub camera: Camera,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Side of a square tile; edge tiles are cut.
+    pub tile: u32,
+    /// Samples a pixel.
+    pub samples: u32,
+    /// Reflections and refractions a path may take.
+    pub depth: u32,
+    /// Seed of the sampler.
+    pub seed: u64,
+    /// What is switched on.
+    pub features: Features,
+    /// What a pixel holds.
+    pub format: PixelFormat,
+    /// When rendered tiles are sent back.
+    pub returns: ReturnMode,
+}
+
+/// A pinhole camera in local units: the ray through (u, v) in [-1, 1]^2 is `origin + t normalize(forward + u right + v up)`.
+#[derive(Clone, Copy, Debug, PartialEq, Encode, Decode)]
+pub struct Camera {
+    /// Eye.
+    pub origin: [f32; 3],
+    /// Unit vector along the axis.
+    pub forward: [f32; 3],
+    /// Half the image plane's width at distance 1.
+    pub right: [f32; 3],
+    /// Half the image plane's height at distance 1.
+    pub up: [f32; 3],
+}
+
+/// Parts of the tracer that are switched on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Encode, Decode)]
+pub struct Features {
+    /// Shadow rays.
+    pub shadows: bool,
+    /// Mirror reflection.
+    pub reflection: bool,
+    /// Refraction.
+    pub refraction: bool,
+}
+
+impl Default for Features {
+    fn default() -> Self {
+        Self { shadows: true, reflection: true, refraction: true }
+    }
+}
+
+/// A pixel's bytes, little endian, rows from the top, no padding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Encode, Decode)]
+pub enum PixelFormat {
+    /// sRGB-coded red, green, blue and linear straight alpha, 8 bits each.
+    Rgba8,
+    /// The same in 16 bits each.
+    Rgba16,
+    /// Nine words: `f32` linear R, G, B (premultiplied), A, depth, normal x, y, z; `u32` triangle id.
+    Layers,
+}
+
+impl PixelFormat {
+    /// Every format.
+    pub const ALL: [Self; 3] = [Self::Rgba8, Self::Rgba16, Self::Layers];
+
+    /// Bytes of one pixel.
+    pub const fn bytes_per_pixel(self) -> usize {
+        match self {
+            Self::Rgba8 => 4,
+            Self::Rgba16 => 8,
+            Self::Layers => 36,
+        }
+    }
+
+    /// The name in reports and in the image hash.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Rgba8 => "rgba8",
+            Self::Rgba16 => "rgba16",
+            Self::Layers => "layers",
+        }
+    }
+}
+
+impl fmt::Display for PixelFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for PixelFormat {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        Self::ALL
+            .into_iter()
+            .find(|format| format.name() == text)
+            .ok_or_else(|| format!("no pixel format `{text}`: use rgba8, rgba16 or layers"))
+    }
+}
+
+/// When a worker sends what it has rendered, and how often it says how far it is (`Rendered`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Encode, Decode)]
+pub enum ReturnMode {
+    /// One batch when its list is empty, one `Rendered` just before it (Seo, Park, Ihm 2022, Figure 5).
+    AtEnd,
+    /// A batch as soon as it holds `min_bytes` of pixels or the list is empty, and a `Rendered` after each tile. 0 sends every tile
+    /// by itself (ibid., Figure 4).
+    Batches {
+        /// Pixel bytes that make a batch worth sending.
+        min_bytes: u32,
+    },
+}
+
+/// What is wrong with a frame.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum FrameError {
+    /// Image size.
+    #[error(
+        "image of {width} x {height}: each side must be in 1..={side} and the area at most {pixels} pixels",
+        side = limits::SIDE,
+        pixels = limits::PIXELS
+    )]
+    Size {
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
+    /// Tile side.
+    #[error("tile side 0: it must be at least 1")]
+    Tile,
+    /// Too many tiles.
+    #[error("{tiles} tiles: at most {limit} are allowed, choose larger tiles", limit = limits::TILES)]
+    Tiles {
+        /// Tiles that the grid would have.
+        tiles: u64,
+    },
+    /// Too many bytes in a tile.
+    #[error("a tile of {bytes} bytes: at most {limit} are allowed, choose smaller tiles", limit = limits::TILE_BYTES)]
+    TileBytes {
+        /// Bytes of the largest tile.
+        bytes: u64,
+    },
+    /// Samples a pixel.
+    #[error("{0} samples a pixel: must be in 1..={limit}", limit = limits::SAMPLES)]
+    Samples(u32),
+    /// Depth.
+    #[error("depth {0}: must be at most {limit}", limit = limits::DEPTH)]
+    Depth(u32),
+    /// Camera.
+    #[error("camera: {0} is not finite, or zero")]
+    Camera(&'static str),
+}
+
+impl Frame {
+    /// Checks every number against its range; the master before it sends, the worker before it obeys.
+    pub fn check(&self) -> Result<TileGrid, FrameError> {
+        let grid = TileGrid::new(self.width, self.height, self.tile)?;
+        let bytes = grid.largest_tile_pixels() * self.format.bytes_per_pixel() as u64;
+        if bytes > limits::TILE_BYTES {
+            return Err(FrameError::TileBytes { bytes });
+        }
+        if !(1..=limits::SAMPLES).contains(&self.samples) {
+            return Err(FrameError::Samples(self.samples));
+        }
+        if self.depth > limits::DEPTH {
+            return Err(FrameError::Depth(self.depth));
+        }
+        self.camera.check()?;
+        Ok(grid)
+    }
+}
+
+impl Camera {
+    /// Every component finite; no axis zero, or of a length whose square leaves `f32`.
+    pub fn check(&self) -> Result<(), FrameError> {
+        if !self.origin.iter().all(|v| v.is_finite()) {
+            return Err(FrameError::Camera("origin"));
+        }
+        for (name, axis) in [("forward", self.forward), ("right", self.right), ("up", self.up)] {
+            let square: f32 = axis.iter().map(|v| v * v).sum();
+            if !(square.is_finite() && square > 0.0) {
+                return Err(FrameError::Camera(name));
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame() -> Frame {
+        Frame {
+            frame: FrameId(1),
+            pack: PackId([0; 32]),
+            camera: Camera {
+                origin: [0.0; 3],
+                forward: [0.0, 0.0, -1.0],
+                right: [1.0, 0.0, 0.0],
+                up: [0.0, 1.0, 0.0],
+            },
+            width: 1024,
+            height: 1024,
+            tile: 128,
+            samples: 1,
+            depth: 8,
+            seed: 0,
+            features: Features::default(),
+            format: PixelFormat::Rgba8,
+            returns: ReturnMode::AtEnd,
+        }
+    }
+
+    #[test]
+    fn every_field_has_a_range() {
+        let check = |change: &dyn Fn(&mut Frame)| {
+            let mut f = frame();
+            change(&mut f);
+            f.check().map(|grid| grid.tiles())
+        };
+        assert_eq!(check(&|_| ()), Ok(64));
+        assert_eq!(check(&|f| f.tile = u32::MAX), Ok(1));
+        assert_eq!(check(&|f| (f.width, f.height) = (20_000, 1)), Ok(157));
+        assert_eq!(check(&|f| f.width = 0), Err(FrameError::Size { width: 0, height: 1024 }));
+        assert_eq!(
+            check(&|f| (f.width, f.height) = (65_536, 65_536)),
+            Err(FrameError::Size { width: 65_536, height: 65_536 })
+        );
+        assert_eq!(check(&|f| f.tile = 0), Err(FrameError::Tile));
+        assert_eq!(check(&|f| f.tile = 1), Err(FrameError::Tiles { tiles: 1 << 20 }));
+        assert_eq!(
+            check(&|f| (f.width, f.height, f.tile) = (8192, 8192, 8192)),
+            Err(FrameError::TileBytes { bytes: 1 << 28 })
+        );
+        assert_eq!(check(&|f| f.samples = 0), Err(FrameError::Samples(0)));
+        assert_eq!(check(&|f| f.depth = 33), Err(FrameError::Depth(33)));
+        assert_eq!(check(&|f| f.camera.origin[1] = f32::NAN), Err(FrameError::Camera("origin")));
+        assert_eq!(check(&|f| f.camera.forward = [0.0; 3]), Err(FrameError::Camera("forward")));
+        assert_eq!(check(&|f| f.camera.right[0] = f32::INFINITY), Err(FrameError::Camera("right")));
+        assert_eq!(check(&|f| f.camera.up[2] = 1e30), Err(FrameError::Camera("up")));
+    }
+
+    #[test]
+    fn formats_have_names() {
+        for format in PixelFormat::ALL {
+            assert_eq!(format.name().parse(), Ok(format));
+        }
+        assert!("png".parse::<PixelFormat>().is_err());
+    }
+}

@@ -1,0 +1,134 @@
+//! Control messages.
+
+use crate::{AbortCode, Attempt, Frame, FrameId, PackId, PackRefusal, Refusal, TileId, WorkerId, limits};
+use bincode::{Decode, Encode};
+
+/// A worker introduces itself: the first message on a connection. Its layout is frozen.
+#[derive(Clone, Debug, PartialEq, Eq, Encode, Decode)]
+pub struct Hello {
+    /// Protocol versions that the worker speaks, at most [`limits::VERSIONS`].
+    pub versions: Vec<u16>,
+    /// For people: 1..=[`limits::TEXT_BYTES`] bytes without control characters.
+    pub name: String,
+    /// Bytes that the worker may use for a pack; 0 when it does not know.
+    pub memory: u64,
+    /// Threads that render.
+    pub threads: u32,
+    /// What renders, for people: `cpu`.
+    pub backend: String,
+    /// Workers of one class give equal bytes for equal frames.
+    pub numeric_class: String,
+}
+
+impl Hello {
+    /// Checks lengths and characters; a worker's name ends up in logs and on terminals.
+    pub fn check(&self) -> Result<(), String> {
+        if self.versions.len() > limits::VERSIONS {
+            return Err(format!(
+                "{} versions, at most {} are allowed",
+                self.versions.len(),
+                limits::VERSIONS
+            ));
+        }
+        for (what, text) in
+            [("name", &self.name), ("backend", &self.backend), ("numeric class", &self.numeric_class)]
+        {
+            if text.is_empty() || text.len() > limits::TEXT_BYTES || text.chars().any(char::is_control) {
+                let most = limits::TEXT_BYTES;
+                return Err(format!("{what} must have 1 to {most} bytes and no control characters"));
+            }
+        }
+        if self.threads == 0 {
+            return Err("0 threads".into());
+        }
+        Ok(())
+    }
+}
+
+/// Worker to master.
+#[derive(Clone, Debug, PartialEq, Encode, Decode)]
+pub enum ToMaster {
+    /// First message; answered by `Welcome` or `Refuse`.
+    Hello(Hello),
+    /// Answer to `PackOffer`: whether the worker holds the pack already or wants its bytes.
+    PackNeed {
+        /// The pack that was offered.
+        pack: PackId,
+        /// `true`: no bytes are needed, `PackReady` follows.
+        have: bool,
+    },
+    /// The pack is held, checked, and can be rendered.
+    PackReady {
+        /// Which.
+        pack: PackId,
+    },
+    /// The pack cannot be held; the worker stays in the session without it.
+    PackRejected {
+        /// Which.
+        pack: PackId,
+        /// Why.
+        reason: PackRefusal,
+    },
+    /// `tiles` more tiles of `frame` are rendered and queued for return. In the pull balancings each asks for one more.
+    Rendered {
+        /// Which frame.
+        frame: FrameId,
+        /// How many since the last such message, >= 1.
+        tiles: u32,
+    },
+    /// The worker is going away; what it has not returned goes to others. Sent once, nothing follows.
+    Leave,
+    /// The worker cuts the connection.
+    Abort {
+        /// Kind.
+        code: AbortCode,
+        /// For people.
+        detail: String,
+    },
+}
+
+/// Master to worker.
+#[derive(Clone, Debug, PartialEq, Encode, Decode)]
+pub enum ToWorker {
+    /// The worker has joined.
+    Welcome {
+        /// Protocol version of everything that follows.
+        version: u16,
+        /// The worker's number in this session.
+        worker: WorkerId,
+    },
+    /// The worker has not joined; the connection ends. Its layout is frozen.
+    Refuse(Refusal),
+    /// A pack that frames will ask for. Answered by `PackNeed`, `PackRejected`.
+    PackOffer {
+        /// Its content hash.
+        pack: PackId,
+        /// Its bytes.
+        length: u64,
+    },
+    /// A frame begins; the one before it, if any, is over.
+    Frame(Frame),
+    /// Tiles of the current frame for this worker, to be rendered in this order.
+    Assign {
+        /// Which frame.
+        frame: FrameId,
+        /// How often these tiles had been handed out before.
+        attempt: Attempt,
+        /// Which tiles, at least one.
+        tiles: Vec<TileId>,
+    },
+    /// The frame is over: complete, or given up. Tiles not yet rendered are forgotten.
+    EndFrame {
+        /// Which frame.
+        frame: FrameId,
+    },
+    /// The session is over; the worker closes.
+    Dismiss,
+    /// The master cuts the connection.
+    Abort {
+        /// Kind.
+        code: AbortCode,
+        /// For people.
+        detail: String,
+    },
+}
