@@ -8,11 +8,12 @@ pub mod error;
 pub mod flatten;
 pub mod generate;
 pub mod import;
+mod instances;
 pub mod scene_file;
 pub mod selection;
 
 pub use document::*;
 pub use error::SceneError;
 pub use flatten::FlatMesh;
-pub use scene_file::{LoadOptions, load};
+pub use scene_file::{LoadOptions, builtin, load};
 pub use selection::{LeftOut, Selection, Without};

@@ -1,0 +1,274 @@
+//! What a scene file changes in the scene that its source gave.
+
+use super::Faults;
+use super::schema::{
+    AlphaName, CameraEntry, Document, EnvironmentEntry, LightEntry, LightName, Lights, MaterialEntry,
+    Normals, Up,
+};
+use super::{ground, smooth};
+use crate::{AlphaMode, Camera, Environment, Light, LightKind, Material, Node, Scene, SceneError};
+use glam::{DMat4, DVec3};
+use std::f32::consts::PI;
+use tessera_geometry::CameraPose;
+
+/// Applies everything but the source: first what moves geometry, then what is stated in the scene's own space.
+pub(super) fn apply(scene: &mut Scene, document: Document, faults: &Faults) -> Result<(), SceneError> {
+    if document.up == Up::Z {
+        stand_up(scene);
+    }
+    if document.normals == Normals::Smooth {
+        smooth::smooth(scene);
+    }
+    if let Some(ground) = &document.ground {
+        ground::add(scene, ground.get_ref())
+            .map_err(|e| faults.at(Some(ground.span()), &format!("[ground]: {e}")))?;
+    }
+    for (name, entry) in &document.material {
+        let named =
+            |e: String| faults.at(Some(name.span()), &format!("[material.\"{}\"]: {e}", name.get_ref()));
+        override_materials(scene, name.get_ref(), entry).map_err(named)?;
+    }
+    if !document.light.is_empty() && document.lights == Lights::Replace {
+        scene.lights.clear();
+    }
+    for entry in &document.light {
+        let light = light(entry.get_ref());
+        scene.lights.push(light.map_err(|e| faults.at(Some(entry.span()), &format!("[[light]]: {e}")))?);
+    }
+    if let Some(ambient) = document.ambient {
+        let colour = colour("ambient", *ambient.get_ref(), f32::MAX);
+        scene.ambient = colour.map_err(|e| faults.at(Some(ambient.span()), &e))?;
+    }
+    if let Some(entry) = &document.environment {
+        let environment = environment(scene, entry.get_ref(), faults);
+        scene.environment =
+            environment.map_err(|e| faults.at(Some(entry.span()), &format!("[environment]: {e}")))?;
+    }
+    let mut stated: Vec<Camera> = Vec::new();
+    for entry in document.camera {
+        let named =
+            |e: &str| faults.at(Some(entry.span()), &format!("[[camera]] \"{}\": {e}", entry.get_ref().name));
+        if stated.iter().any(|c| c.name == entry.get_ref().name) {
+            return Err(named("the name is taken; give every camera its own"));
+        }
+        stated.push(camera(entry.get_ref()).map_err(named)?);
+    }
+    order_cameras(scene, stated, document.default_camera, faults)
+}
+
+/// Turns a scene whose +z is up: (x, y, z) goes to (x, z, -y).
+fn stand_up(scene: &mut Scene) {
+    let turn = DMat4::from_cols_array(&[
+        1.0, 0.0, 0.0, 0.0, // x stays
+        0.0, 0.0, -1.0, 0.0, // y goes to -z
+        0.0, 1.0, 0.0, 0.0, // z goes to y
+        0.0, 0.0, 0.0, 1.0,
+    ]);
+    for root in &mut scene.roots {
+        let node = &mut scene.nodes[*root];
+        node.transform = turn * node.transform;
+    }
+    for light in &mut scene.lights {
+        light.position = turn.transform_point3(light.position);
+        light.direction = turn.transform_vector3(light.direction);
+    }
+    for Camera { pose, .. } in &mut scene.cameras {
+        pose.eye = turn.transform_point3(pose.eye);
+        pose.target = turn.transform_point3(pose.target);
+        pose.up = turn.transform_vector3(pose.up);
+    }
+}
+
+/// Puts the stated cameras first, replacing the source's of the same name, and the default one before all.
+fn order_cameras(
+    scene: &mut Scene,
+    mut stated: Vec<Camera>,
+    default: Option<toml::Spanned<String>>,
+    faults: &Faults,
+) -> Result<(), SceneError> {
+    scene.cameras.retain(|c| !stated.iter().any(|s| s.name == c.name));
+    stated.append(&mut scene.cameras);
+    if let Some(default) = default {
+        let Some(place) = stated.iter().position(|c| c.name == *default.get_ref()) else {
+            let names: Vec<_> = stated.iter().map(|c| c.name.as_str()).collect();
+            let what = format!(
+                "default_camera = \"{}\": no such camera; there are: {}",
+                default.get_ref(),
+                names.join(", ")
+            );
+            return Err(faults.at(Some(default.span()), &what));
+        };
+        stated[..=place].rotate_right(1);
+    }
+    scene.cameras = stated;
+    Ok(())
+}
+
+fn camera(entry: &CameraEntry) -> Result<Camera, &'static str> {
+    let [eye, target, up] = [entry.eye, entry.target, entry.up].map(DVec3::from_array);
+    if !(eye.is_finite() && target.is_finite() && up.is_finite()) {
+        return Err("eye, target and up must be finite numbers");
+    }
+    if !(entry.fov > 0.0 && entry.fov < 180.0) {
+        return Err("fov must lie between 0 and 180 degrees");
+    }
+    if eye == target {
+        return Err("eye and target are the same point");
+    }
+    if up.normalize_or_zero().cross((target - eye).normalize_or_zero()).length() < 1e-9 {
+        // 1e-9: the sine below which the horizon would be made of rounding errors (2^-53 a coordinate).
+        return Err("up is zero or points along the view");
+    }
+    Ok(Camera { name: entry.name.clone(), pose: CameraPose { eye, target, up, fov_degrees: entry.fov } })
+}
+
+fn light(entry: &LightEntry) -> Result<Light, String> {
+    let color = colour("color", entry.color, f32::MAX)?;
+    if !(entry.intensity.is_finite() && entry.intensity >= 0.0) {
+        return Err("intensity must be 0 or more".to_owned());
+    }
+    let range = entry.range.unwrap_or(f32::INFINITY);
+    if range.is_nan() || range <= 0.0 {
+        return Err("range must be above 0".to_owned());
+    }
+    let position = || match entry.position.map(DVec3::from_array) {
+        Some(p) if p.is_finite() => Ok(p),
+        Some(_) => Err("position must be finite numbers".to_owned()),
+        None => Err("position is missing".to_owned()),
+    };
+    let direction = || match entry.direction.map(|d| DVec3::from_array(d).try_normalize()) {
+        Some(Some(d)) => Ok(d),
+        Some(None) => Err("direction must be finite and not zero".to_owned()),
+        None => Err("direction is missing".to_owned()),
+    };
+    let unused = |key: &str, stated: bool| match stated {
+        true => Err(format!("{key} means nothing for this kind of light; leave it out")),
+        false => Ok(()),
+    };
+    let (kind, position, direction) = match entry.kind {
+        LightName::Point => {
+            unused("direction", entry.direction.is_some())?;
+            unused("angles", entry.angles.is_some())?;
+            (LightKind::Point, position()?, DVec3::NEG_Y)
+        }
+        LightName::Directional => {
+            unused("position", entry.position.is_some())?;
+            unused("angles", entry.angles.is_some())?;
+            unused("range", entry.range.is_some())?;
+            (LightKind::Directional, DVec3::ZERO, direction()?)
+        }
+        LightName::Spot => {
+            let [inner, outer] = entry.angles.ok_or("angles = [inner, outer] is missing")?;
+            if !(inner >= 0.0 && inner < outer && outer <= 90.0) {
+                return Err("angles = [inner, outer] must be 0 <= inner < outer <= 90 degrees".to_owned());
+            }
+            let radians = |degrees: f32| degrees * (PI / 180.0);
+            (LightKind::Spot { inner: radians(inner), outer: radians(outer) }, position()?, direction()?)
+        }
+    };
+    let intensity = color.map(|c| c * entry.intensity);
+    if !intensity.iter().all(|c| c.is_finite()) {
+        return Err("color times intensity is too large".to_owned());
+    }
+    Ok(Light { name: String::new(), kind, position, direction, intensity, range })
+}
+
+fn environment(scene: &mut Scene, entry: &EnvironmentEntry, faults: &Faults) -> Result<Environment, String> {
+    let gradient = [entry.zenith, entry.horizon, entry.nadir];
+    match (&entry.image, gradient) {
+        (Some(_), [None, None, None]) => {
+            let _ = (scene, faults);
+            Err("image is not supported yet".to_owned())
+        }
+        (Some(_), _) => Err("either image or zenith, horizon and nadir".to_owned()),
+        (None, [Some(zenith), Some(horizon), Some(nadir)]) => {
+            if entry.scale.is_some() {
+                return Err("scale belongs to an image".to_owned());
+            }
+            Ok(Environment::Gradient {
+                zenith: colour("zenith", zenith, f32::MAX)?,
+                horizon: colour("horizon", horizon, f32::MAX)?,
+                nadir: colour("nadir", nadir, f32::MAX)?,
+            })
+        }
+        (None, _) => Err("needs zenith, horizon and nadir, or an image".to_owned()),
+    }
+}
+
+/// Changes the material of this name, or every material for `*`.
+fn override_materials(scene: &mut Scene, name: &str, entry: &MaterialEntry) -> Result<(), String> {
+    let mut found = false;
+    for material in scene.materials.iter_mut().filter(|m| name == "*" || m.name == name) {
+        override_material(material, entry)?;
+        found = true;
+    }
+    if !found {
+        const SHOWN: usize = 12;
+        let mut names: Vec<_> =
+            scene.materials.iter().take(SHOWN).map(|m| format!("\"{}\"", m.name)).collect();
+        if scene.materials.len() > SHOWN {
+            names.push(format!("and {} more", scene.materials.len() - SHOWN));
+        }
+        return Err(format!("the source has no such material; it has {}", names.join(", ")));
+    }
+    Ok(())
+}
+
+fn override_material(m: &mut Material, entry: &MaterialEntry) -> Result<(), String> {
+    if let Some([r, g, b]) = entry.base_color {
+        let [r, g, b] = colour("base_color", [r, g, b], 1.0)?;
+        m.base_color = [r, g, b, m.base_color[3]];
+    }
+    let share = |key: &str, value: Option<f32>, old: f32| match value {
+        None => Ok(old),
+        Some(x) if (0.0..=1.0).contains(&x) => Ok(x),
+        Some(_) => Err(format!("{key} must lie between 0 and 1")),
+    };
+    m.base_color[3] = share("opacity", entry.opacity, m.base_color[3])?;
+    m.metallic = share("metallic", entry.metallic, m.metallic)?;
+    m.roughness = share("roughness", entry.roughness, m.roughness)?;
+    m.transmission = share("transmission", entry.transmission, m.transmission)?;
+    if let Some(specular) = entry.specular {
+        m.specular = colour("specular", specular, 1.0)?;
+    }
+    if let Some(emissive) = entry.emissive {
+        m.emissive = colour("emissive", emissive, f32::MAX)?;
+    }
+    if let Some(ior) = entry.ior {
+        if !(ior.is_finite() && ior > 0.0) {
+            return Err("ior must be above 0".to_owned());
+        }
+        m.ior = ior;
+    }
+    let cutoff = share("alpha_cutoff", entry.alpha_cutoff, 0.5)?;
+    match entry.alpha {
+        Some(AlphaName::Opaque) => m.alpha = AlphaMode::Opaque,
+        Some(AlphaName::Mask) => m.alpha = AlphaMode::Mask(cutoff),
+        Some(AlphaName::Blend) => m.alpha = AlphaMode::Blend,
+        None => {}
+    }
+    if entry.alpha_cutoff.is_some() && entry.alpha != Some(AlphaName::Mask) {
+        return Err("alpha_cutoff needs alpha = \"mask\"".to_owned());
+    }
+    m.thin_walled = entry.thin_walled.unwrap_or(m.thin_walled);
+    m.double_sided = entry.double_sided.unwrap_or(m.double_sided);
+    m.unlit = entry.unlit.unwrap_or(m.unlit);
+    if !entry.textures {
+        m.base_texture = None;
+        m.metallic_roughness_texture = None;
+        m.emissive_texture = None;
+        m.transmission_texture = None;
+    }
+    Ok(())
+}
+
+/// A colour whose parts are finite, not negative and at most `max`.
+fn colour(key: &str, value: [f32; 3], max: f32) -> Result<[f32; 3], String> {
+    if value.iter().all(|&c| c >= 0.0 && c <= max) {
+        Ok(value)
+    } else if max == f32::MAX {
+        Err(format!("{key} must be finite numbers of 0 or more"))
+    } else {
+        Err(format!("{key} must be numbers between 0 and {max}"))
+    }
+}
