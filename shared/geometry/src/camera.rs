@@ -103,7 +103,7 @@ impl CameraPose {
 
         // Move the eye into local space.
         let eye = (self.eye - frame.anchor) / frame.step - frame.centre;
-        if !(eye.abs().max_element() <= Self::REACH) {
+        if eye.abs().max_element() > Self::REACH {
             return Err(PoseError::TooFar);
         }
 
@@ -123,7 +123,7 @@ impl CameraPose {
         // Scale it to the field of view.
         let half_height = libm::tan(self.fov_degrees.to_radians() * 0.5);
         let half_width = half_height * f64::from(width) / f64::from(height);
-        if !(half_height.max(half_width) <= Self::MAX_HALF_EXTENT) {
+        if half_height.max(half_width) > Self::MAX_HALF_EXTENT {
             return Err(PoseError::FieldOfView);
         }
         Ok(LocalCamera {
@@ -156,7 +156,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const FRAME: LocalFrame = LocalFrame { anchor: DVec3::ZERO, step: 0.5, centre: DVec3::new(8.0, 8.0, 8.0) };
+    const FRAME: LocalFrame =
+        LocalFrame { anchor: DVec3::ZERO, step: 0.5, centre: DVec3::new(8.0, 8.0, 8.0) };
 
     fn pose() -> CameraPose {
         CameraPose {

@@ -1,10 +1,32 @@
 //! Whitted shading over a pack: shadows, reflection, refraction, textures.
+//!
+//! [`Renderer`] takes a [`tessera_pack::Pack`] and turns [`FrameParams`] and a [`PixelBlock`] into pixels. Everything about a pixel
+//! follows from these; threads, blocks and machines only decide who computes it.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `frame.rs` | what a frame asks for |
+//! | `pixel.rs` | blocks, averages, pixel formats |
+//! | `sample.rs` | where the samples of a pixel lie |
+//! | `path.rs` | the tree of rays behind a sample |
+//! | [`shade`] | the material model and a surface's own light |
+//! | `light.rs` | lights and shadow rays |
+//! | `surface.rs` | what a ray has hit |
+//! | `environment.rs`, `texture.rs`, `color.rs` | misses, look-ups, sRGB |
+//! | `scene.rs` | a pack made ready |
 
+mod color;
+mod environment;
 pub mod frame;
+mod light;
+mod path;
 pub mod pixel;
-pub mod sample;
+mod sample;
+mod scene;
 pub mod shade;
-pub mod texture;
+mod surface;
+mod texture;
 
 pub use frame::{Features, FrameParams, PixelFormat, RayCounts};
 pub use pixel::{NUMERIC_CLASS, PixelBlock, render_block};
+pub use scene::Renderer;

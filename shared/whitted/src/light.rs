@@ -1,0 +1,122 @@
+//! Lights and the shadow rays towards them.
+
+use crate::path::{After, MAX_LAYERS, MIN_WEIGHT};
+use crate::scene::{Renderer, lets_light_through};
+use crate::shade::glass_share;
+use crate::surface::paint_at;
+use crate::{Features, path};
+use tessera_geometry::{Ray, Vec3, rounding::gamma};
+use tessera_pack::{Light, LightKind};
+
+/// Light that arrives at a point if nothing is in its way.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Incoming {
+    /// Unit vector to the light.
+    pub direction: Vec3,
+    /// On a surface that faces the light.
+    pub irradiance: Vec3,
+    /// Local distance at which occluders end.
+    pub reach: f32,
+}
+
+/// Bound of an irradiance, so that a light almost at the surface stays finite in all sums.
+const MAX_IRRADIANCE: f32 = (1u64 << 63) as f32;
+
+/// What `light` brings to `origin`; `None` when that is nothing. `step` is the world length of a local unit.
+pub(crate) fn incoming(light: &Light, origin: Vec3, step: f64) -> Option<Incoming> {
+    // A directional light is everywhere the same.
+    let intensity = Vec3::from(light.intensity);
+    let shines = Vec3::from(light.direction);
+    if light.kind == LightKind::Directional as u32 {
+        return Some(Incoming { direction: -shines, irradiance: intensity, reach: f32::INFINITY });
+    }
+
+    // Measure the way. A light exactly at the point has no direction and is left out.
+    let position = Vec3::from(light.position);
+    let way = position - origin;
+    let distance = way.length();
+    if !(distance > 0.0 && distance < f32::INFINITY) {
+        return None;
+    }
+    let direction = way / distance;
+
+    // Let it fall off with the square of the world distance, within its window and cone.
+    let world = (f64::from(distance) * step) as f32;
+    let mut share = window(world, light.range) / (world * world);
+    if light.kind == LightKind::Spot as u32 {
+        share *= cone(-direction.dot(shines), light.cos_inner, light.cos_outer);
+    }
+    let irradiance = (intensity * share.min(MAX_IRRADIANCE)).min(Vec3::splat(MAX_IRRADIANCE));
+    (share > 0.0).then_some(Incoming { direction, irradiance, reach: reach(distance, position) })
+}
+
+/// Where occluders of a light at `distance` end, so that a lamp in or on a surface is not put out by it.
+///
+/// Three things may put that surface before the light: packing moves a vertex by up to half a voxel an axis, sqrt(3) / 2 < 1; rounding the
+/// light's place, within gamma(3) of its coordinates; and rounding the ray's unit direction, within gamma(6) < 2^-20 of the distance.
+fn reach(distance: f32, position: Vec3) -> f32 {
+    let place = position.abs();
+    let margin = 1.0 + (place.x + place.y + place.z) * gamma(3) + distance * (1.0 / 1_048_576.0);
+    (distance - margin).max(0.0)
+}
+
+/// The smooth end of a light's range (KHR_lights_punctual, "Range Property"): `max(min(1 - (d / range)^4, 1), 0)`.
+fn window(distance: f32, range: f32) -> f32 {
+    let x = distance / range;
+    let x2 = x * x;
+    (1.0 - x2 * x2).clamp(0.0, 1.0)
+}
+
+/// The fall-off of a spot between its cones (KHR_lights_punctual, "Inner and Outer Cone Angles"), without that text's bound of 0.001 on
+/// the difference of the cosines, which would dim narrow spots; 2^-24 only keeps the division defined.
+fn cone(cosine: f32, cos_inner: f32, cos_outer: f32) -> f32 {
+    let x = (cosine - cos_outer) / (cos_inner - cos_outer).max(f32::EPSILON * 0.5);
+    let x = x.clamp(0.0, 1.0);
+    x * x
+}
+
+/// The share of a light that reaches `origin`: 0 in shadow, 1 in the open, a colour behind glass or a veil.
+///
+/// Holes pass light. Glass passes it unbent with its share times its colour, and what blends passes `1 - alpha` besides.
+pub(crate) fn transmittance(
+    scene: &Renderer<'_>,
+    features: Features,
+    origin: Vec3,
+    incoming: &Incoming,
+) -> Vec3 {
+    let ray = Ray { origin, direction: incoming.direction, t_min: 0.0, t_max: incoming.reach };
+
+    // Look for anything opaque: in most scenes the whole question.
+    let needs = scene.needs;
+    let blocked = match (needs.see_through, needs.holes) {
+        (false, false) => scene.tree.any_hit(&scene.mesh, &ray, |_| true),
+        (false, true) => scene.tree.any_hit(&scene.mesh, &ray, |hit| scene.is_solid(hit)),
+        (true, _) => scene.tree.any_hit(&scene.mesh, &ray, |hit| {
+            !lets_light_through(scene.material(hit.triangle)) && scene.is_solid(hit)
+        }),
+    };
+    if blocked {
+        return Vec3::ZERO;
+    }
+
+    // Then filter the light surface by surface, each once: a traversal may meet a triangle in several leaves, but (t, id) orders the
+    // hits whatever the tree.
+    let mut passed = Vec3::ONE;
+    if !needs.see_through {
+        return passed;
+    }
+    let mut after = After::START;
+    for _ in 0..MAX_LAYERS {
+        let Some(hit) = path::nearest(scene, &ray, after) else { return passed };
+        let paint = paint_at(scene, &hit);
+        let through = paint.base * (glass_share(&paint, features) * paint.alpha);
+        passed *= through + Vec3::splat(1.0 - paint.alpha);
+        if passed.max_element() < MIN_WEIGHT {
+            return Vec3::ZERO;
+        }
+        after = After::hit(&hit);
+    }
+
+    // Behind as many layers as a path may pass there is no light.
+    Vec3::ZERO
+}

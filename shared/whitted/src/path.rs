@@ -1,0 +1,210 @@
+//! One sample: the tree of rays behind one ray from the eye, walked with an explicit stack.
+//!
+//! # How a path ends
+//!
+//! * **Depth.** A surface met after `max_depth` mirror and bent rays shows its local light (lights, ambient, emission); what its mirror or glass would
+//!   have brought is black. Between two facing mirrors of reflectance `k` and emission `e` the picture is `e (1 + k + ... + k^max_depth)`.
+//! * **Weight.** A ray whose weight in the pixel is below [`MIN_WEIGHT`] = 1/512 in every channel is not traced. Whatever it would have seen changes a
+//!   pixel by less than 1/512 of that radiance: below half a step, 1/510, of 8-bit linear light. The weights of the rays behind one surface sum to at most
+//!   that surface's own, so at most 3 * 512 rays of one generation are alive, and a path of any depth stays bounded.
+//! * **Layers.** Straight continuations (blending, thin walls, `ior == 1`) do not count as depth, but a path passes at most [`MAX_LAYERS`] of
+//!   them; behind the last one it is black and opaque.
+
+use crate::scene::Renderer;
+use crate::shade::{local_light, reflect, terms};
+use crate::surface::{offset_origin, paint_at, surface_at};
+use crate::{Features, FrameParams, RayCounts};
+use tessera_geometry::{Hit, Ray, Vec3};
+
+/// Weight in a pixel below which a ray is not traced.
+pub(crate) const MIN_WEIGHT: f32 = 1.0 / 512.0;
+
+/// Surfaces that a path, or a shadow ray, passes straight.
+pub(crate) const MAX_LAYERS: u32 = 64;
+
+/// How a ray goes on behind a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Passage {
+    /// As if nothing were there.
+    Straight,
+    /// In another direction.
+    Bent(Vec3),
+}
+
+/// A place on a ray: hits count when they come after it in the order (t, triangle).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct After {
+    t: f32,
+    triangle: u32,
+}
+
+impl After {
+    /// The start of a ray.
+    pub(crate) const START: Self = Self { t: 0.0, triangle: Hit::NO_TRIANGLE };
+
+    /// The place of `hit`.
+    pub(crate) fn hit(hit: &Hit) -> Self {
+        Self { t: hit.t, triangle: hit.triangle }
+    }
+
+    fn precedes(self, hit: &Hit) -> bool {
+        self.t < hit.t || (self.t == hit.t && self.triangle < hit.triangle)
+    }
+}
+
+/// A ray that waits to be traced.
+#[derive(Clone, Copy, Debug)]
+struct Segment {
+    origin: Vec3,
+    direction: Vec3,
+    /// Where it goes on, when it is a continuation.
+    after: After,
+    /// Its share in the pixel.
+    weight: Vec3,
+    /// Mirror and bent rays before it.
+    depth: u32,
+    /// Layers that the path has passed straight.
+    layers: u32,
+}
+
+/// The waiting rays of one path. A surface replaces its ray by up to three and so adds up to two, once for each unit of depth and each layer
+/// at most; the bound follows.
+pub(crate) struct PathStack {
+    segments: [Segment; PathStack::CAPACITY],
+    len: usize,
+}
+
+impl PathStack {
+    const CAPACITY: usize = 1 + 2 * (FrameParams::MAX_DEPTH + MAX_LAYERS) as usize;
+
+    /// An empty stack; make one per block of pixels, not per path.
+    pub(crate) fn new() -> Self {
+        let unused = Segment {
+            origin: Vec3::ZERO,
+            direction: Vec3::ZERO,
+            after: After::START,
+            weight: Vec3::ZERO,
+            depth: 0,
+            layers: 0,
+        };
+        Self { segments: [unused; Self::CAPACITY], len: 0 }
+    }
+
+    /// Adds a ray unless its weight is too small to be seen; says how many were added.
+    fn push(&mut self, segment: Segment) -> u64 {
+        if segment.weight.max_element() < MIN_WEIGHT {
+            return 0;
+        }
+        self.segments[self.len] = segment;
+        self.len += 1;
+        1
+    }
+
+    fn pop(&mut self) -> Option<Segment> {
+        self.len = self.len.checked_sub(1)?;
+        Some(self.segments[self.len])
+    }
+}
+
+/// What one ray from the eye sees.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen {
+    /// Linear radiance, premultiplied by alpha.
+    pub color: Vec3,
+    /// Coverage, [0, 1].
+    pub alpha: f32,
+    /// The first surface.
+    pub first: Option<Hit>,
+}
+
+/// The nearest surface along `ray` behind `after`, holes excepted.
+pub(crate) fn nearest(scene: &Renderer<'_>, ray: &Ray, after: After) -> Option<Hit> {
+    if after == After::START {
+        if scene.needs.holes {
+            scene.tree.closest_hit(&scene.mesh, ray, |hit| scene.is_solid(hit))
+        } else {
+            scene.tree.closest_hit(&scene.mesh, ray, |_| true)
+        }
+    } else {
+        // Let t begin just before the last hit, so that a coincident surface is met too.
+        let rest = Ray { t_min: after.t.next_down(), ..*ray };
+        scene.tree.closest_hit(&scene.mesh, &rest, |hit| after.precedes(hit) && scene.is_solid(hit))
+    }
+}
+
+/// Follows the ray `eye` and everything behind it.
+pub(crate) fn trace(
+    scene: &Renderer<'_>,
+    params: &FrameParams,
+    eye: &Ray,
+    stack: &mut PathStack,
+    counts: &mut RayCounts,
+) -> Seen {
+    // Start with the ray from the eye alone.
+    let max_depth = params.max_depth.min(FrameParams::MAX_DEPTH);
+    let features: Features = params.features;
+    let (mut color, mut alpha, mut first) = (Vec3::ZERO, 1.0, None);
+    stack.len = 0;
+    counts.primary += stack.push(Segment {
+        origin: eye.origin,
+        direction: eye.direction,
+        after: After::START,
+        weight: Vec3::ONE,
+        depth: 0,
+        layers: 0,
+    });
+
+    while let Some(segment) = stack.pop() {
+        // Find what the ray meets, or what lies behind everything. Where nothing bent the ray, nothing covers the pixel.
+        let Segment { origin, direction, after, weight, depth, layers } = segment;
+        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+        let Some(hit) = nearest(scene, &ray, after) else {
+            color += weight * scene.backdrop.radiance(direction);
+            if depth == 0 && scene.backdrop.is_none() {
+                alpha = 1.0 - weight.max_element();
+            }
+            continue;
+        };
+        if depth == 0 && layers == 0 {
+            first = Some(hit);
+        }
+
+        // Shade it by itself.
+        let surface = surface_at(scene, &hit, direction);
+        let paint = paint_at(scene, &hit);
+        let terms = terms(&paint, &surface, direction, features);
+        let covered = weight * paint.alpha;
+        color += covered * local_light(scene, features, &surface, &terms, direction, counts);
+
+        // Go straight on past the uncovered part and through unbent glass.
+        let mut straight = weight * (1.0 - paint.alpha);
+        if terms.passage == Passage::Straight {
+            straight += covered * terms.passed;
+        }
+        if layers < MAX_LAYERS {
+            let after = After::hit(&hit);
+            counts.refraction +=
+                stack.push(Segment { after, weight: straight, layers: layers + 1, ..segment });
+        }
+        if depth >= max_depth {
+            continue;
+        }
+
+        // Go through bent glass.
+        let ray = Segment { after: After::START, depth: depth + 1, ..segment };
+        if let Passage::Bent(bent) = terms.passage {
+            let origin = offset_origin(&surface, -surface.facing);
+            let weight = covered * terms.passed;
+            counts.refraction += stack.push(Segment { origin, direction: bent, weight, ..ray });
+        }
+
+        // Follow the mirror.
+        if terms.mirror != Vec3::ZERO {
+            let origin = offset_origin(&surface, surface.facing);
+            let direction = reflect(direction, &surface);
+            let weight = covered * terms.mirror;
+            counts.reflection += stack.push(Segment { origin, direction, weight, ..ray });
+        }
+    }
+    Seen { color, alpha, first }
+}

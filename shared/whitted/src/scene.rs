@@ -1,0 +1,140 @@
+//! A pack made ready for rendering.
+
+use crate::environment::Backdrop;
+use crate::texture::{self, Coding, Sampling};
+use tessera_geometry::{Hit, Vec2, Vec3};
+use tessera_kdtree::TreeView;
+use tessera_pack::view::MeshView;
+use tessera_pack::{Light, Material, MaterialFlags, NO_TEXTURE, Pack, Texture};
+
+/// A pack's views and what its content asks of the kernel, found once: O(materials), nothing per triangle.
+///
+/// Make one per pack and share it between threads; a worker renders all its tiles through one.
+pub struct Renderer<'a> {
+    pub(crate) tree: TreeView<'a>,
+    pub(crate) mesh: MeshView<'a>,
+    pub(crate) lights: &'a [Light],
+    pub(crate) ambient: Vec3,
+    pub(crate) backdrop: Backdrop<'a>,
+    /// World units in a local unit.
+    pub(crate) step: f64,
+    pub(crate) needs: Needs,
+    pack: &'a Pack,
+    materials: &'a [Material],
+    textures: &'a [Texture],
+    texels: &'a [u32],
+}
+
+/// Parts of the kernel that a scene without them skips.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Needs {
+    /// Some material has holes: every candidate hit is tested for one.
+    pub(crate) holes: bool,
+    /// Some material lets light through: a shadow ray steps from surface to surface.
+    pub(crate) see_through: bool,
+    /// There are vertex normals, texture coordinates (and a material that has a use for them), vertex colours.
+    pub(crate) normals: bool,
+    pub(crate) uvs: bool,
+    pub(crate) colors: bool,
+}
+
+impl<'a> Renderer<'a> {
+    /// Prepares `pack`.
+    pub fn new(pack: &'a Pack) -> Self {
+        let (mesh, materials) = (pack.mesh(), pack.materials());
+        let (textures, texels) = (pack.textures(), pack.texels());
+        Self {
+            tree: pack.tree(),
+            mesh,
+            lights: pack.lights(),
+            ambient: pack.ambient().radiance.into(),
+            backdrop: Backdrop::new(pack.environment(), textures, texels),
+            step: pack.frame().step,
+            needs: Needs {
+                holes: materials.iter().any(|m| m.flags & MaterialFlags::ALPHA_MASK != 0),
+                see_through: materials.iter().any(lets_light_through),
+                normals: mesh.has_normals(),
+                uvs: mesh.has_uvs() && materials.iter().any(is_textured),
+                colors: mesh.has_colors(),
+            },
+            pack,
+            materials,
+            textures,
+            texels,
+        }
+    }
+
+    /// The material of packed triangle `id`.
+    pub(crate) fn material(&self, id: u32) -> &'a Material {
+        &self.materials[self.pack.material_of(id) as usize]
+    }
+
+    /// The flattened scene's id of packed triangle `id`.
+    pub(crate) fn original_id(&self, id: u32) -> u32 {
+        self.pack.original_id(id)
+    }
+
+    /// Colour and alpha of texture slot `slot` at `uv`, white where there is no texture.
+    pub(crate) fn texture(&self, slot: u32, uv: Vec2, coding: Coding) -> (Vec3, f32) {
+        if slot == NO_TEXTURE {
+            return (Vec3::ONE, 1.0);
+        }
+        let texture = &self.textures[slot as usize];
+        texture::lookup(self.texels, texture, Sampling::of(texture), uv, coding)
+    }
+
+    /// Whether the surface is there at `hit`, and not a hole cut out by a mask.
+    pub(crate) fn is_solid(&self, hit: &Hit) -> bool {
+        // Opaque and blended materials have no holes.
+        let material = self.material(hit.triangle);
+        if material.flags & MaterialFlags::ALPHA_MASK == 0 {
+            return true;
+        }
+
+        // Compare alpha with the cut-off.
+        let indices = self.mesh.indices(hit.triangle);
+        let mut alpha = material.base_color[3];
+        if self.needs.colors {
+            alpha *= self.color_at(indices, hit)[3];
+        }
+        if self.needs.uvs && material.base_texture != NO_TEXTURE && alpha > 0.0 {
+            let texture = &self.textures[material.base_texture as usize];
+            alpha *= texture::lookup_alpha(self.texels, texture, self.uv_at(indices, hit));
+        }
+        alpha >= material.alpha_cutoff
+    }
+
+    /// The interpolated texture coordinates, (0, 0) when nothing uses them.
+    pub(crate) fn uv_at(&self, indices: [u32; 3], hit: &Hit) -> Vec2 {
+        if !self.needs.uvs {
+            return Vec2::ZERO;
+        }
+        let [a, b, c] = indices.map(|v| self.mesh.uv(v));
+        a * (1.0 - hit.b1 - hit.b2) + b * hit.b1 + c * hit.b2
+    }
+
+    /// The interpolated linear vertex colour.
+    pub(crate) fn color_at(&self, indices: [u32; 3], hit: &Hit) -> [f32; 4] {
+        let [a, b, c] = indices.map(|v| self.mesh.color(v));
+        let b0 = 1.0 - hit.b1 - hit.b2;
+        std::array::from_fn(|k| a[k] * b0 + b[k] * hit.b1 + c[k] * hit.b2)
+    }
+}
+
+/// Whether light may pass a surface of this material other than through a hole. Textures can only lower a share, so the factors
+/// decide.
+pub(crate) fn lets_light_through(material: &Material) -> bool {
+    let unlit = material.flags & MaterialFlags::UNLIT != 0;
+    material.flags & MaterialFlags::ALPHA_BLEND != 0 || (material.transmission > 0.0 && !unlit)
+}
+
+fn is_textured(material: &Material) -> bool {
+    [
+        material.base_texture,
+        material.metallic_roughness_texture,
+        material.emissive_texture,
+        material.transmission_texture,
+    ]
+    .iter()
+    .any(|&slot| slot != NO_TEXTURE)
+}
