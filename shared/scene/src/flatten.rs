@@ -1,15 +1,18 @@
 //! The node tree turned into one list of world-space triangles.
 
-use crate::Scene;
+use crate::import::limits::{FLAT_MAX, NODE_DEPTH_MAX};
+use crate::{Primitive, Scene, SceneError};
+use glam::{DMat3, DMat4, DVec3};
+use std::path::PathBuf;
 
 /// World-space arrays; vertex arrays other than `positions` are empty (nothing has them) or as long as `positions`.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct FlatMesh {
     /// World positions.
     pub positions: Vec<[f64; 3]>,
     /// Unit world normals; zero where a vertex has none.
     pub normals: Vec<[f32; 3]>,
-    /// Texture coordinates.
+    /// Texture coordinates, (0, 0) where a part has none.
     pub uvs: Vec<[f32; 2]>,
     /// Vertex colours, white where a part has none.
     pub colors: Vec<[u8; 4]>,
@@ -22,8 +25,264 @@ pub struct FlatMesh {
 impl Scene {
     /// Flattens the node tree. Mirrored instances (negative determinant) get their winding turned, so that the geometric
     /// normal points to the same side as in the mesh; normals go through the inverse transpose.
-    /// Fails when the counts do not fit 32 bits.
-    pub fn flatten(&self) -> Result<FlatMesh, crate::SceneError> {
-        Ok(FlatMesh::default())
+    ///
+    /// # Errors
+    /// [`SceneError::Invalid`] when the counts exceed [`FLAT_MAX`], the tree is deeper than [`NODE_DEPTH_MAX`] (or has a cycle), or
+    /// an index of the document is out of range.
+    pub fn flatten(&self) -> Result<FlatMesh, SceneError> {
+        let invalid = |what: String| SceneError::Invalid { path: PathBuf::from(&self.name), what };
+        let instances = self.instances().map_err(invalid)?;
+        let mut flat = self.reserve(&instances).map_err(invalid)?;
+        for (mesh, to_world) in &instances {
+            for primitive in &self.meshes[*mesh].primitives {
+                flat.append(primitive, to_world);
+            }
+        }
+        Ok(flat)
+    }
+
+    /// Every use of a mesh with its transform to world space, nodes depth first in file order.
+    fn instances(&self) -> Result<Vec<(usize, DMat4)>, String> {
+        let mut instances = Vec::new();
+        let mut stack: Vec<(usize, DMat4, usize)> =
+            self.roots.iter().rev().map(|&root| (root, DMat4::IDENTITY, 1)).collect();
+        while let Some((index, to_parent, depth)) = stack.pop() {
+            if depth > NODE_DEPTH_MAX {
+                return Err(format!("node {index} lies deeper than {NODE_DEPTH_MAX} levels, or on a cycle"));
+            }
+            let node = self.nodes.get(index).ok_or_else(|| format!("node {index} does not exist"))?;
+            let to_world = to_parent * node.transform;
+            if let Some(mesh) = node.mesh {
+                if mesh >= self.meshes.len() {
+                    return Err(format!("node {index} names mesh {mesh}, which does not exist"));
+                }
+                instances.push((mesh, to_world));
+            }
+            stack.extend(node.children.iter().rev().map(|&child| (child, to_world, depth + 1)));
+        }
+        Ok(instances)
+    }
+
+    /// Empty arrays with room for all instances; the sizes are checked first.
+    fn reserve(&self, instances: &[(usize, DMat4)]) -> Result<FlatMesh, String> {
+        let (mut vertices, mut triangles) = (0_u64, 0_u64);
+        let mut has = [false; 3];
+        for (mesh, _) in instances {
+            for primitive in &self.meshes[*mesh].primitives {
+                self.check(primitive)?;
+                vertices += primitive.positions.len() as u64;
+                triangles += primitive.triangles.len() as u64;
+                has[0] |= !primitive.normals.is_empty();
+                has[1] |= !primitive.uvs.is_empty();
+                has[2] |= !primitive.colors.is_empty();
+            }
+            if vertices > FLAT_MAX || triangles > FLAT_MAX {
+                return Err(format!(
+                    "has more than {FLAT_MAX} triangles or vertices after instancing, the limit; use a smaller part of it"
+                ));
+            }
+        }
+        // Both fit, as the limit is far below 32 bits.
+        let (vertices, triangles) = (vertices as usize, triangles as usize);
+        let room = |has: bool| if has { vertices } else { 0 };
+        Ok(FlatMesh {
+            positions: Vec::with_capacity(vertices),
+            normals: Vec::with_capacity(room(has[0])),
+            uvs: Vec::with_capacity(room(has[1])),
+            colors: Vec::with_capacity(room(has[2])),
+            triangles: Vec::with_capacity(triangles),
+            material_runs: Vec::new(),
+        })
+    }
+
+    /// The promises of [`Primitive`], which importers and generators keep.
+    fn check(&self, primitive: &Primitive) -> Result<(), String> {
+        let count = primitive.positions.len();
+        let lengths = [primitive.normals.len(), primitive.uvs.len(), primitive.colors.len()];
+        if lengths.iter().any(|&length| length != 0 && length != count) {
+            return Err(format!(
+                "a primitive has vertex arrays of lengths {lengths:?} for {count} positions"
+            ));
+        }
+        if !primitive.triangles.is_empty() && primitive.material >= self.materials.len() {
+            return Err(format!("a primitive names material {}, which does not exist", primitive.material));
+        }
+        Ok(())
+    }
+}
+
+impl FlatMesh {
+    /// Appends one instance; room was reserved, and what has capacity is filled.
+    fn append(&mut self, primitive: &Primitive, to_world: &DMat4) {
+        if primitive.triangles.is_empty() {
+            return;
+        }
+        // The limits on the counts keep everything below 2^32.
+        let first_vertex = self.positions.len() as u32;
+        let first_triangle = self.triangles.len() as u32;
+        let material = primitive.material as u32;
+        let count = primitive.positions.len();
+        let (to_normal, is_mirrored) = normal_matrix(to_world);
+
+        self.positions.extend(primitive.positions.iter().map(|&p| to_world.transform_point3(p).to_array()));
+        if self.normals.capacity() > 0 {
+            self.normals.extend(primitive.normals.iter().map(|&normal| unit_normal(&to_normal, normal)));
+            self.normals.resize(self.positions.len(), [0.0; 3]);
+        }
+        if self.uvs.capacity() > 0 {
+            self.uvs.extend_from_slice(&primitive.uvs);
+            self.uvs.resize(self.positions.len(), [0.0; 2]);
+        }
+        if self.colors.capacity() > 0 {
+            self.colors.extend_from_slice(&primitive.colors);
+            self.colors.resize(self.positions.len(), [255; 4]);
+        }
+        let turn = |[a, b, c]: [u32; 3]| if is_mirrored { [a, c, b] } else { [a, b, c] };
+        let shift = |triangle: &[u32; 3]| turn(*triangle).map(|index| first_vertex + index);
+        debug_assert!(primitive.triangles.as_flattened().iter().all(|&index| (index as usize) < count));
+        self.triangles.extend(primitive.triangles.iter().map(shift));
+        if self.material_runs.last().is_none_or(|&(_, last)| last != material) {
+            self.material_runs.push((first_triangle, material));
+        }
+    }
+}
+
+/// The matrix that takes normals along, up to a positive factor, and whether the transform mirrors.
+///
+/// With M the linear part, `cof(M) = det(M) M^-T`; its columns are cross products of M's, so that it exists for a singular M too.
+/// A turned winding makes the geometric normal `|det| M^-T n`, hence the sign.
+fn normal_matrix(to_world: &DMat4) -> (DMat3, bool) {
+    let linear = DMat3::from_mat4(*to_world);
+    // Scaled to 1, so that the products of tiny or huge scales neither vanish nor overflow.
+    let largest = linear.to_cols_array().iter().fold(0.0_f64, |largest, &value| largest.max(value.abs()));
+    let linear = if largest > 0.0 { linear * (1.0 / largest) } else { linear };
+    let DMat3 { x_axis: x, y_axis: y, z_axis: z } = linear;
+    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
+    let is_mirrored = x.dot(y.cross(z)) < 0.0;
+    (if is_mirrored { cofactors * -1.0 } else { cofactors }, is_mirrored)
+}
+
+/// A unit world normal, or zero where there is none.
+fn unit_normal(to_normal: &DMat3, normal: [f32; 3]) -> [f32; 3] {
+    let world = *to_normal * DVec3::from(normal.map(f64::from));
+    world.try_normalize().map_or([0.0; 3], |unit| unit.to_array().map(|component| component as f32))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Material, Mesh, Node};
+
+    fn triangle() -> Primitive {
+        Primitive {
+            positions: vec![DVec3::ZERO, DVec3::X, DVec3::Y],
+            normals: vec![[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [f32::NAN, 0.0, 0.0]],
+            triangles: vec![[0, 1, 2]],
+            ..Primitive::default()
+        }
+    }
+
+    fn scene(transforms: &[DMat4]) -> Scene {
+        Scene {
+            meshes: vec![Mesh { name: String::new(), primitives: vec![triangle()] }],
+            nodes: transforms
+                .iter()
+                .map(|&transform| Node {
+                    name: String::new(),
+                    transform,
+                    mesh: Some(0),
+                    children: Vec::new(),
+                })
+                .collect(),
+            roots: (0..transforms.len()).collect(),
+            materials: vec![Material::default(), Material::default()],
+            ..Scene::default()
+        }
+    }
+
+    /// The geometric normal of a triangle.
+    fn geometric(flat: &FlatMesh, triangle: usize) -> DVec3 {
+        let [a, b, c] = flat.triangles[triangle].map(|index| DVec3::from(flat.positions[index as usize]));
+        // Unit edges first: the squares of tiny ones would vanish.
+        (b - a).normalize().cross((c - a).normalize()).normalize()
+    }
+
+    #[test]
+    fn normals_and_winding_stay_on_one_side() {
+        let shear = DMat4::from_mat3(DMat3::from_cols(
+            DVec3::X,
+            DVec3::new(2.0, 1.0, 0.5),
+            DVec3::new(0.0, -3.0, 1.0),
+        ));
+        for transform in [
+            DMat4::IDENTITY,
+            DMat4::from_scale(DVec3::new(2.0, 0.5, 3.0)),
+            DMat4::from_scale(DVec3::new(-1.0, 1.0, 1.0)),
+            DMat4::from_scale(DVec3::splat(-1e-150)),
+            DMat4::from_scale(DVec3::splat(1e150)),
+            shear,
+            DMat4::from_scale(DVec3::new(1.0, 1.0, -4.0)) * shear,
+        ] {
+            let flat = scene(&[transform]).flatten().unwrap();
+            let normal = DVec3::from(flat.normals[0].map(f64::from));
+            assert!(normal.dot(geometric(&flat, 0)) > 1.0 - 1e-7, "{transform}");
+            // A normal is perpendicular to the image of every tangent: (1, 0, 1) to that of (1, 0, -1).
+            let tangent = transform.transform_vector3(DVec3::new(1.0, 0.0, -1.0)).normalize();
+            let tilted = DVec3::from(flat.normals[1].map(f64::from));
+            assert!(tilted.dot(tangent).abs() < 1e-6, "{transform}");
+            assert_eq!(flat.normals[2], [0.0; 3]);
+        }
+    }
+
+    #[test]
+    fn nodes_come_depth_first_in_file_order() {
+        let mut scene = scene(&[1.0, 2.0, 3.0, 4.0].map(|x| DMat4::from_translation(DVec3::X * x)));
+        scene.roots = vec![2, 0];
+        scene.nodes[2].children = vec![3, 1];
+        let flat = scene.flatten().unwrap();
+        let starts: Vec<f64> =
+            flat.triangles.iter().map(|triangle| flat.positions[triangle[0] as usize][0]).collect();
+        assert_eq!(starts, [3.0, 7.0, 5.0, 1.0]);
+        assert_eq!(flat.material_runs, [(0, 0)]);
+    }
+
+    #[test]
+    fn parts_without_an_array_are_filled() {
+        let mut scene = scene(&[DMat4::IDENTITY]);
+        let mut other = triangle();
+        other.normals = Vec::new();
+        other.uvs = vec![[0.5, 0.25]; 3];
+        other.colors = vec![[1, 2, 3, 4]; 3];
+        other.material = 1;
+        scene.meshes[0].primitives = vec![triangle(), other, triangle()];
+        let flat = scene.flatten().unwrap();
+        assert_eq!(flat.normals[3..6], [[0.0; 3]; 3]);
+        assert_eq!((flat.uvs[2], flat.uvs[3], flat.uvs.len()), ([0.0; 2], [0.5, 0.25], 9));
+        assert_eq!((flat.colors[2], flat.colors[3], flat.colors[8]), ([255; 4], [1, 2, 3, 4], [255; 4]));
+        assert_eq!(flat.material_runs, [(0, 0), (1, 1), (2, 0)]);
+        assert_eq!(flat.triangles[2], [6, 7, 8]);
+    }
+
+    #[test]
+    fn deep_trees_cycles_and_floods_end_in_an_error() {
+        let mut deep = scene(&vec![DMat4::IDENTITY; NODE_DEPTH_MAX + 1]);
+        for index in 0..NODE_DEPTH_MAX {
+            deep.nodes[index].children = vec![index + 1];
+        }
+        deep.roots = vec![0];
+        assert!(deep.flatten().unwrap_err().to_string().contains("deeper than"));
+        deep.nodes[NODE_DEPTH_MAX - 1].children.clear();
+        assert_eq!(deep.flatten().unwrap().triangles.len(), NODE_DEPTH_MAX);
+        deep.nodes[3].children = vec![0];
+        assert!(deep.flatten().unwrap_err().to_string().contains("cycle"));
+
+        // 2^12 nodes times 2^16 triangles: refused by counting, before anything is made.
+        let mut flood = scene(&vec![DMat4::IDENTITY; 1 << 12]);
+        flood.meshes[0].primitives[0].triangles = vec![[0, 1, 2]; 1 << 16];
+        assert!(flood.flatten().unwrap_err().to_string().contains("after instancing"));
+
+        let mut broken = scene(&[DMat4::IDENTITY]);
+        broken.meshes[0].primitives[0].material = 7;
+        assert!(broken.flatten().unwrap_err().to_string().contains("material 7"));
     }
 }

@@ -1,0 +1,95 @@
+//! What an importer says while it reads: errors with their place, warnings, counts.
+
+use super::limits::{NAME_SHOWN_MAX, WARNINGS_MAX};
+use crate::{Scene, SceneError};
+use std::path::{Path, PathBuf};
+
+/// Collects what is to be said about one source file.
+#[derive(Debug)]
+pub(crate) struct Report {
+    path: PathBuf,
+    warnings: Vec<String>,
+    unsaid: u64,
+    dropped: Vec<(&'static str, u64)>,
+}
+
+impl Report {
+    pub(crate) fn new(path: &Path) -> Self {
+        Self { path: path.to_owned(), warnings: Vec::new(), unsaid: 0, dropped: Vec::new() }
+    }
+
+    /// An error about this file; `what` names the place in it and what to do.
+    pub(crate) fn invalid(&self, what: impl Into<String>) -> SceneError {
+        SceneError::Invalid { path: self.path.clone(), what: what.into() }
+    }
+
+    /// Adds a warning once: what, where, what it means for the picture.
+    pub(crate) fn warn(&mut self, what: impl Into<String>) {
+        let what = what.into();
+        if self.warnings.contains(&what) {
+            return;
+        }
+        if self.warnings.len() < WARNINGS_MAX {
+            self.warnings.push(what);
+        } else {
+            self.unsaid += 1;
+        }
+    }
+
+    /// Counts input that is left out.
+    pub(crate) fn drop(&mut self, kind: &'static str, count: u64) {
+        if count == 0 {
+            return;
+        }
+        match self.dropped.iter_mut().find(|entry| entry.0 == kind) {
+            Some(entry) => entry.1 += count,
+            None => self.dropped.push((kind, count)),
+        }
+    }
+
+    /// Hands everything to the scene.
+    pub(crate) fn finish(mut self, scene: &mut Scene) {
+        if self.unsaid > 0 {
+            self.warnings.push(format!("{} further warnings are not listed", self.unsaid));
+        }
+        scene.warnings.append(&mut self.warnings);
+        scene.dropped.append(&mut self.dropped);
+    }
+}
+
+/// A name from a file as a message may show it: control characters escaped (a terminal would obey them), cut when long.
+pub(crate) fn shown(name: &str) -> String {
+    let mut out: String = name.chars().take(NAME_SHOWN_MAX).flat_map(char::escape_debug).collect();
+    if name.chars().nth(NAME_SHOWN_MAX).is_some() {
+        out.push_str("...");
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn warnings_are_said_once_and_not_without_end() {
+        let mut report = Report::new(Path::new("a.obj"));
+        for i in 0..WARNINGS_MAX + 10 {
+            report.warn(format!("line {i}"));
+            report.warn(format!("line {i}"));
+        }
+        report.drop("faces", 2);
+        report.drop("faces", 3);
+        report.drop("nothing", 0);
+        let mut scene = Scene::default();
+        report.finish(&mut scene);
+        assert_eq!(scene.warnings.len(), WARNINGS_MAX + 1);
+        assert_eq!(scene.warnings[WARNINGS_MAX], "20 further warnings are not listed");
+        assert_eq!(scene.dropped, [("faces", 5)]);
+    }
+
+    #[test]
+    fn names_cannot_steer_a_terminal() {
+        assert_eq!(shown("a\u{1b}[2Jb"), "a\\u{1b}[2Jb");
+        assert_eq!(shown(&"x".repeat(200)).len(), NAME_SHOWN_MAX + 3);
+    }
+}
