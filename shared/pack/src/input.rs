@@ -25,6 +25,9 @@ pub struct PackInput {
     pub textures: Vec<ImageInput>,
     /// Lights in **world** space; the pack stores them in local space.
     pub lights: Vec<Light>,
+    /// World positions of the lights in full precision; when empty, those in `lights` are used. At large offsets from the
+    /// origin an `f32` position is too coarse.
+    pub light_positions: Vec<[f64; 3]>,
     /// Light that reaches every surface alike.
     pub ambient: Ambient,
     /// What a ray sees that misses everything.

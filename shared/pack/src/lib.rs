@@ -1,14 +1,27 @@
 //! What a worker holds: versioned, checksummed sections with zero-copy views; its id is the hash of the content.
+//!
+//! [`build_pack`] turns plain arrays ([`PackInput`]) into a [`Pack`]; [`Pack::from_buffer`] checks bytes that came from
+//! elsewhere so thoroughly that no content can make a reader fail. The file is described at [`format`].
 
+pub mod buffer;
 pub mod build;
+mod check;
+pub mod color;
+pub mod error;
+pub mod format;
 pub mod input;
 pub mod records;
+mod rules;
+mod validate;
 pub mod view;
 
-pub use build::{BuildError, PackOptions, PackStats, Plain, build_pack};
+pub use buffer::PackBuffer;
+pub use build::{PackOptions, PackStats, Plain, build_pack};
+pub use error::{BuildError, PackError};
 pub use input::{ImageInput, PackInput};
 pub use records::{
-    Ambient, Environment, EnvironmentKind, Light, LightKind, Material, MaterialFlags, NO_TEXTURE, Texture,
-    Wrap,
+    Ambient, Environment, EnvironmentKind, Light, LightKind, Material, MaterialFlags, NO_TEXTURE, SideUv,
+    Texture, Wrap,
 };
-pub use view::{Pack, PackError, PackId};
+pub use rules::MAX_TEXTURE_SIDE;
+pub use view::{MeshView, Pack, PackId};

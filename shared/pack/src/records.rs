@@ -193,3 +193,15 @@ impl Default for Environment {
         Self { texture: NO_TEXTURE, up: [0.0, 1.0, 0.0], ..Zeroable::zeroed() }
     }
 }
+
+/// Texture coordinates of one vertex that do not pack.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct SideUv {
+    /// Vertex; its record has the side-table bit.
+    pub vertex: u32,
+    /// Texture coordinates, at most 2^22 in size.
+    pub uv: [f32; 2],
+}
+
+const _: () = assert!(size_of::<SideUv>() == 12);

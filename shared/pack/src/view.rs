@@ -1,140 +1,345 @@
 //! A pack's bytes, checked once, then read in place.
 
-use crate::records::{Ambient, Environment, Light, Material, Texture};
-use tessera_geometry::{LocalFrame, Vec2, Vec3};
+use crate::buffer::PackBuffer;
+use crate::color::srgb8_to_linear_table;
+use crate::error::PackError;
+use crate::format::{Head, Layout, Section};
+use crate::records::{Ambient, Environment, Light, Material, SideUv, Texture};
+use crate::validate::validate;
+use bytemuck::Pod;
+use std::fmt;
+use std::sync::Arc;
+use tessera_geometry::{Aabb, DVec3, LocalFrame, Vec2, Vec3};
 use tessera_kdtree::TreeView;
+use tessera_quantize::grid::{PAPER_INTERVALS, VOXELS_PER_CELL};
+use tessera_quantize::{NormalTable, Record};
 
 /// BLAKE3 hash of a pack's content.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Debug)]
 pub struct PackId(pub [u8; 32]);
 
-/// Why bytes are not a pack.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum PackError {
-    /// The bytes are malformed, with the place.
-    #[error("not a valid pack: {0}")]
-    Malformed(String),
+impl fmt::Display for PackId {
+    /// 64 hexadecimal digits.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|b| write!(f, "{b:02x}"))
+    }
 }
 
 /// A validated pack. Cheap to clone; views borrow from its bytes.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub struct Pack {
-    // owned, 64-byte aligned bytes and the section table
+    inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    buffer: PackBuffer,
+    layout: Layout,
+    head: Head,
+    id: PackId,
 }
 
 impl Pack {
-    /// Checks `bytes` (header, hash, every index, the tree) and takes them.
+    /// Checks `bytes` (header, hash, every index, the tree) and copies them.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, PackError> {
-        let _ = bytes;
-        Err(PackError::Malformed("not built yet".into()))
+        Self::from_buffer(PackBuffer::copy_of(bytes).ok_or(PackError::OutOfMemory(bytes.len() as u64))?)
     }
+
+    /// Checks `buffer` (header, hash, every index, the tree) and takes it. After that no content can make a reader of the pack
+    /// panic or reach beyond an array.
+    pub fn from_buffer(buffer: PackBuffer) -> Result<Self, PackError> {
+        let layout = Layout::read(buffer.as_slice())?;
+        let head = validate(buffer.as_slice(), &layout)?;
+        let id = PackId(crate::format::stored_id(buffer.as_slice()));
+        Ok(Self { inner: Arc::new(Inner { buffer, layout, head, id }) })
+    }
+
     /// The whole file.
     pub fn bytes(&self) -> &[u8] {
-        unimplemented!("contract")
+        self.inner.buffer.as_slice()
     }
+
     /// Content hash.
     pub fn id(&self) -> PackId {
-        unimplemented!("contract")
+        self.inner.id
     }
+
     /// World to local.
     pub fn frame(&self) -> LocalFrame {
-        unimplemented!("contract")
+        let Head { anchor, step, cells, .. } = self.inner.head;
+        LocalFrame {
+            anchor: DVec3::from_array(anchor),
+            step,
+            centre: DVec3::from_array(cells.map(|n| f64::from(n * (VOXELS_PER_CELL / 2)))),
+        }
     }
+
+    /// Numbers of the header: grid, counts, root box.
+    pub fn head(&self) -> &Head {
+        &self.inner.head
+    }
+
     /// Triangles.
     pub fn triangle_count(&self) -> u32 {
-        unimplemented!("contract")
+        self.inner.head.triangles
     }
+
+    /// Vertices.
+    pub fn vertex_count(&self) -> u32 {
+        self.inner.head.vertices
+    }
+
     /// The kd-tree.
     pub fn tree(&self) -> TreeView<'_> {
-        unimplemented!("contract")
+        let Head { root_min, root_max, .. } = self.inner.head;
+        TreeView {
+            bounds: Aabb { min: Vec3::from_array(root_min), max: Vec3::from_array(root_max) },
+            slots: self.slice(Section::Slots),
+            list: self.slice(Section::List),
+        }
     }
+
     /// Vertices and triangles.
     pub fn mesh(&self) -> MeshView<'_> {
-        unimplemented!("contract")
+        MeshView::new(&self.inner.head, &|section| &self.bytes()[self.inner.layout.range(section)])
     }
+
     /// Materials.
     pub fn materials(&self) -> &[Material] {
-        unimplemented!("contract")
+        self.slice(Section::Materials)
     }
+
     /// Material of packed triangle `id` (binary search in the runs).
     pub fn material_of(&self, id: u32) -> u32 {
-        let _ = id;
-        unimplemented!("contract")
+        run_of(self.slice(Section::MaterialRuns), id)[1]
     }
-    /// Original (flattened-scene) id of packed triangle `id`.
+
+    /// Original (flattened-scene) id of packed triangle `id` (binary search in the runs).
     pub fn original_id(&self, id: u32) -> u32 {
-        let _ = id;
-        unimplemented!("contract")
+        let [first, original] = run_of(self.slice(Section::IdRuns), id);
+        original + (id - first)
     }
+
     /// Texture records.
     pub fn textures(&self) -> &[Texture] {
-        unimplemented!("contract")
+        self.slice(Section::Textures)
     }
+
     /// Texels, RGBA8 each, little endian in a word: red in bits 0..7.
     pub fn texels(&self) -> &[u32] {
-        unimplemented!("contract")
+        self.slice(Section::Texels)
     }
+
     /// Lights in local space.
     pub fn lights(&self) -> &[Light] {
-        unimplemented!("contract")
+        self.slice(Section::Lights)
     }
+
     /// Ambient light.
     pub fn ambient(&self) -> Ambient {
-        unimplemented!("contract")
+        Ambient { radiance: self.inner.head.ambient }
     }
+
     /// What a miss sees.
     pub fn environment(&self) -> Environment {
-        unimplemented!("contract")
+        self.slice(Section::Environment).first().copied().unwrap_or_default()
     }
+
+    /// Bytes of each section that is present, in file order.
+    pub fn section_sizes(&self) -> Vec<(&'static str, u64)> {
+        Section::ALL
+            .iter()
+            .map(|&s| (s.name(), self.inner.layout.range(s).len() as u64))
+            .filter(|&(_, length)| length > 0)
+            .collect()
+    }
+
+    fn slice<T: Pod>(&self, section: Section) -> &[T] {
+        // Sections are aligned to 64 and their lengths were checked: the cast cannot fail.
+        bytemuck::cast_slice(&self.bytes()[self.inner.layout.range(section)])
+    }
+}
+
+/// The last run that begins at or before `id`; runs begin at 0.
+fn run_of(runs: &[[u32; 2]], id: u32) -> [u32; 2] {
+    runs[runs.partition_point(|r| r[0] <= id) - 1]
 }
 
 /// Vertices and triangles of a pack, decoded on access. `Copy`: slices and decode constants only.
+///
+/// Ids and indices must be below the pack's counts; beyond them the accessors panic.
 #[derive(Clone, Copy)]
 pub struct MeshView<'a> {
-    _bytes: &'a [u8],
+    faces: &'a [[u32; 3]],
+    records: &'a [u32],
+    record_words: usize,
+    cells: CellTable<'a>,
+    /// Added to a voxel's coordinates: half a voxel, minus the grid's centre. Exact, as is the sum.
+    bias: [f32; 3],
+    plain_positions: &'a [[f32; 3]],
+    plain_normals: &'a [[f32; 3]],
+    plain_uvs: &'a [[f32; 2]],
+    side_uvs: &'a [SideUv],
+    colors: &'a [[u8; 4]],
+    normal_table: &'static [[f32; 3]],
+    srgb: &'static [f32; 256],
+    has_normals: bool,
+    has_uvs: bool,
 }
 
-impl MeshView<'_> {
+#[derive(Clone, Copy)]
+enum CellTable<'a> {
+    Narrow(&'a [u32]),
+    Wide(&'a [u64]),
+}
+
+impl CellTable<'_> {
+    #[inline]
+    fn get(&self, index: u16) -> [u32; 3] {
+        match self {
+            Self::Narrow(table) => narrow_cell(table[usize::from(index)]),
+            Self::Wide(table) => wide_cell(table[usize::from(index)]),
+        }
+    }
+}
+
+/// The elements of a section; an absent one may have any alignment.
+fn elements<T: Pod>(bytes: &[u8]) -> &[T] {
+    if bytes.is_empty() { &[] } else { bytemuck::cast_slice(bytes) }
+}
+
+/// Whether the cell table has `u64` entries.
+pub(crate) fn cells_are_wide(cells: [u32; 3]) -> bool {
+    cells.iter().any(|&n| n > PAPER_INTERVALS)
+}
+
+#[inline]
+pub(crate) fn narrow_cell(entry: u32) -> [u32; 3] {
+    [entry >> 20, entry >> 10 & 1023, entry & 1023]
+}
+
+#[inline]
+pub(crate) fn wide_cell(entry: u64) -> [u32; 3] {
+    [(entry >> 32) as u32, (entry >> 16) as u32 & 0xFFFF, entry as u32 & 0xFFFF]
+}
+
+impl<'a> MeshView<'a> {
+    /// A view over sections whose lengths were checked.
+    pub(crate) fn new(head: &Head, section: &dyn Fn(Section) -> &'a [u8]) -> Self {
+        let cells = section(Section::Cells);
+        let side_uvs = section(Section::SideUvs);
+        Self {
+            faces: elements(section(Section::Faces)),
+            records: elements(section(Section::Records)),
+            record_words: head.record_words as usize,
+            cells: if cells_are_wide(head.cells) {
+                CellTable::Wide(elements(cells))
+            } else {
+                CellTable::Narrow(elements(cells))
+            },
+            // n <= 8192: 512 n and the half are exact.
+            bias: head.cells.map(|n| 0.5 - (n * (VOXELS_PER_CELL / 2)) as f32),
+            plain_positions: elements(section(Section::Positions)),
+            plain_normals: elements(section(Section::Normals)),
+            plain_uvs: elements(section(Section::Uvs)),
+            side_uvs: elements(side_uvs),
+            colors: elements(section(Section::Colors)),
+            normal_table: NormalTable::get().entries(),
+            srgb: srgb8_to_linear_table(),
+            has_normals: head.flags & Head::HAS_NORMALS != 0,
+            has_uvs: head.record_words == 3 || !section(Section::Uvs).is_empty(),
+        }
+    }
+
     /// Vertex indices of triangle `id`.
+    #[inline]
     pub fn indices(&self, id: u32) -> [u32; 3] {
-        let _ = id;
-        unimplemented!("contract")
+        self.faces[id as usize]
     }
-    /// Decoded local position.
+
+    /// Decoded local position, exact: a voxel's centre (or a plain position).
+    #[inline]
     pub fn position(&self, vertex: u32) -> Vec3 {
-        let _ = vertex;
-        unimplemented!("contract")
+        if !self.plain_positions.is_empty() {
+            return Vec3::from_array(self.plain_positions[vertex as usize]);
+        }
+        let record = self.record(vertex);
+        let cell = self.cells.get(record.cell());
+        let offsets = record.offsets();
+        // Voxel coordinates are below 2^23 and the result is a half within 2^22: both exact in f32.
+        let axis = |k: usize| (cell[k] << 10 | offsets[k]) as f32 + self.bias[k];
+        Vec3::new(axis(0), axis(1), axis(2))
     }
+
     /// Decoded unit normal, `None` when the vertex (or the scene) has none.
+    #[inline]
     pub fn normal(&self, vertex: u32) -> Option<Vec3> {
-        let _ = vertex;
-        unimplemented!("contract")
+        if !self.has_normals {
+            return None;
+        }
+        if self.plain_normals.is_empty() {
+            let code = self.record(vertex).normal();
+            return self.normal_table.get(usize::from(code)).map(|&n| Vec3::from_array(n));
+        }
+        let normal = Vec3::from_array(self.plain_normals[vertex as usize]);
+        (normal != Vec3::ZERO).then_some(normal)
     }
-    /// Decoded texture coordinates, (0,0) when the scene has none.
+
+    /// Decoded texture coordinates, (0,0) when the scene has none. They may differ from the source's by a whole number that the
+    /// triangle's corners share.
+    #[inline]
     pub fn uv(&self, vertex: u32) -> Vec2 {
-        let _ = vertex;
-        unimplemented!("contract")
+        if !self.has_uvs {
+            return Vec2::ZERO;
+        }
+        if !self.plain_uvs.is_empty() {
+            return Vec2::from_array(self.plain_uvs[vertex as usize]);
+        }
+        let record = self.record(vertex);
+        if !record.has_side_uv() {
+            return Vec2::from_array(record.uv());
+        }
+        let place = self.side_uvs.binary_search_by_key(&vertex, |s| s.vertex);
+        // Every record with the bit has its entry: validated.
+        place.map_or(Vec2::ZERO, |i| Vec2::from_array(self.side_uvs[i].uv))
     }
+
     /// Linear vertex colour, white when the scene has none.
+    #[inline]
     pub fn color(&self, vertex: u32) -> [f32; 4] {
-        let _ = vertex;
-        unimplemented!("contract")
+        if self.colors.is_empty() {
+            return [1.0; 4];
+        }
+        let [r, g, b, a] = self.colors[vertex as usize];
+        let linear = |code: u8| self.srgb[usize::from(code)];
+        [linear(r), linear(g), linear(b), f32::from(a) / 255.0]
     }
-    /// Whether any vertex may have a normal / uv / colour.
+
+    /// Whether any vertex has a normal.
     pub fn has_normals(&self) -> bool {
-        unimplemented!("contract")
+        self.has_normals
     }
-    /// See `has_normals`.
+
+    /// Whether vertices have texture coordinates.
     pub fn has_uvs(&self) -> bool {
-        unimplemented!("contract")
+        self.has_uvs
     }
-    /// See `has_normals`.
+
+    /// Whether any vertex has a colour other than white.
     pub fn has_colors(&self) -> bool {
-        unimplemented!("contract")
+        !self.colors.is_empty()
+    }
+
+    /// The record of a vertex; the third word is 0 when there is none.
+    #[inline]
+    pub(crate) fn record(&self, vertex: u32) -> Record {
+        let words = &self.records[vertex as usize * self.record_words..][..self.record_words];
+        Record([words[0], words[1], words.get(2).copied().unwrap_or(0)])
     }
 }
 
 impl tessera_kdtree::Triangles for MeshView<'_> {
+    #[inline]
     fn vertices(&self, id: u32) -> [Vec3; 3] {
         self.indices(id).map(|v| self.position(v))
     }
