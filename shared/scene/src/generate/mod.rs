@@ -12,11 +12,15 @@
 //! own and never the model's. Every scene's [`notes`](crate::Scene::notes) state the recipe and the measured [`Row`] beside the
 //! model's. Lengths are metres, +y is up, and every scene brings its cameras and lights.
 
+mod arches;
 mod assembly;
 mod cornell;
+mod furnishing;
+mod hall;
 mod rng;
 mod row;
 mod shapes;
+mod textures;
 
 pub use row::Row;
 
@@ -30,16 +34,19 @@ use std::fmt;
 pub enum Kind {
     /// A box with a mirror ball and a glass ball.
     Cornell,
+    /// The demo's hall.
+    Hall,
 }
 
 impl Kind {
     /// All of them.
-    pub const ALL: [Self; 1] = [Self::Cornell];
+    pub const ALL: [Self; 2] = [Self::Cornell, Self::Hall];
 
     /// Its name in scene files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Cornell => "cornell",
+            Self::Hall => "hall",
         }
     }
 }
@@ -81,6 +88,7 @@ pub fn generate(recipe: &Recipe) -> Result<Scene, OutOfRange> {
     }
     let (mut scene, model) = match recipe.kind {
         Kind::Cornell => (cornell::generate(recipe), None::<row::Reference>),
+        Kind::Hall => (hall::generate(recipe), None),
     };
     scene.notes.push(format!(
         "generated: kind {}, seed {}, {} triangles asked for",
@@ -96,3 +104,6 @@ pub fn generate(recipe: &Recipe) -> Result<Scene, OutOfRange> {
     }
     Ok(scene)
 }
+
+#[cfg(test)]
+mod tests;

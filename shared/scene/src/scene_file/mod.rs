@@ -27,7 +27,10 @@ pub struct LoadOptions {
 }
 
 /// Scene files that are part of the program: name and text. They are generated, so they need no other file.
-const BUILT_IN: [(&str, &str); 1] = [("cornell", include_str!("../../../../scenes/cornell.toml"))];
+const BUILT_IN: [(&str, &str); 2] = [
+    ("cornell", include_str!("../../../../scenes/cornell.toml")),
+    ("hall", include_str!("../../../../scenes/hall.toml")),
+];
 
 /// Bytes that a scene file may have: far more than one written by hand.
 const FILE_BYTES_MAX: u64 = 1 << 20;
