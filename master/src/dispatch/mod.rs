@@ -1,6 +1,13 @@
 //! Which worker renders which tile: pure, without clock or socket.
 
+mod deal;
+mod frame;
+
+pub use deal::{Deal, row_major_owner};
+pub use frame::{Assignment, Dispatch, Violation};
+
 use std::{fmt, str::FromStr};
+use tessera_wire::ReturnMode;
 
 /// How tiles get to workers. All four make the same image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
@@ -19,6 +26,18 @@ pub enum Balance {
 impl Balance {
     /// Every balancing.
     pub const ALL: [Self; 4] = [Self::PaperStatic, Self::Static, Self::PaperDynamic, Self::Dynamic];
+
+    /// Pixel bytes that make a batch worth its header and its wake-ups: four tiles of 128 x 128 in 8 bits.
+    const BATCH_BYTES: u32 = 256 << 10;
+
+    /// When workers return what they have rendered.
+    pub const fn returns(self) -> ReturnMode {
+        match self {
+            Self::PaperStatic => ReturnMode::AtEnd,
+            Self::PaperDynamic => ReturnMode::Batches { min_bytes: 0 },
+            Self::Static | Self::Dynamic => ReturnMode::Batches { min_bytes: Self::BATCH_BYTES },
+        }
+    }
 
     /// The name on the command line and in reports.
     pub const fn name(self) -> &'static str {
