@@ -5,16 +5,17 @@
 
 mod cluster;
 pub mod compare;
+pub mod coordinator;
 pub mod dispatch;
+mod frame;
 pub mod image;
 pub mod output;
+pub mod session;
 mod transport;
 
-pub use cluster::{
-    Cluster, ClusterConfig, FrameJob, FrameResult, LoadError, LocalWorkers, Progress, RenderError,
-    StartError, Timings, Traffic, WorkerReport, Workers,
-};
+pub use cluster::{Cluster, ClusterConfig, LoadError, LocalWorkers, RenderError, StartError, Workers};
 pub use dispatch::Balance;
+pub use frame::{FrameJob, FrameResult, Progress, Timings, Traffic, WorkerReport};
 pub use image::{FrameBuffer, ImageHash, PixelFormat};
 pub use output::{OutputError, OutputFile};
 pub use transport::{Link, Pipes, Reader, Writer};

@@ -1,0 +1,401 @@
+//! All workers and the current frame together. Pure: what came in and `now` go in, [`Output`]s come out.
+//!
+//! A whole cluster runs in one thread under a virtual clock this way; `Cluster` is the same thing with sockets.
+
+use crate::{
+    FrameBuffer, FrameJob, Timings, WorkerReport,
+    dispatch::{Assignment, Dispatch, Violation},
+    session::{Session, Step},
+};
+use std::{collections::VecDeque, time::Duration};
+use tessera_wire::{
+    AbortCode, FrameError, FrameId, PackId, PackRefusal, Rays, TileEntry, TileGrid, ToMaster, ToWorker,
+    WorkerId,
+};
+
+/// What the driver has to do, or to know.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Output {
+    /// Send a message.
+    Send(WorkerId, ToWorker),
+    /// Send the bytes of the pack.
+    SendPack(WorkerId, PackId),
+    /// Close the connection once everything before is sent.
+    Close(WorkerId, AbortCode),
+    /// Tell.
+    Event(Event),
+}
+
+/// What has happened.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// A worker has joined.
+    Joined(WorkerId),
+    /// A connection is over, joined or not; the reason is for people.
+    Lost(WorkerId, String),
+    /// A worker holds the pack on offer.
+    PackHeld(WorkerId),
+    /// A worker cannot hold it.
+    PackRejected(WorkerId, PackRefusal),
+    /// Another tile is in the image.
+    Tile {
+        /// So far.
+        done: u32,
+        /// Of the frame.
+        total: u32,
+    },
+}
+
+/// How the current frame stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameStatus {
+    /// No frame, or not complete.
+    Pending,
+    /// Every tile is in.
+    Done,
+    /// No worker is left; `done` of `total` tiles are in.
+    Failed {
+        /// Tiles in.
+        done: u32,
+        /// Tiles of the frame.
+        total: u32,
+    },
+}
+
+/// A complete frame; what the driver adds to it becomes a [`crate::FrameResult`].
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// The image.
+    pub image: FrameBuffer,
+    /// Those who took part.
+    pub workers: Vec<WorkerReport>,
+    /// Without `send_scene`.
+    pub timings: Timings,
+    /// Of the tiles in the image.
+    pub rays: Rays,
+    /// Results dropped.
+    pub dropped_tiles: u64,
+}
+
+/// The master's whole state.
+#[derive(Debug, Default)]
+pub struct Coordinator {
+    numeric_class: Option<String>,
+    /// Indexed by worker id; kept when over.
+    sessions: Vec<Session>,
+    pack: Option<PackId>,
+    frame: Option<Active>,
+    frames_begun: u64,
+    outputs: VecDeque<Output>,
+}
+
+#[derive(Debug)]
+struct Active {
+    id: FrameId,
+    grid: TileGrid,
+    dispatch: Dispatch,
+    image: FrameBuffer,
+    rays: Rays,
+    reports: Vec<(WorkerId, WorkerReport)>,
+    late: u64,
+    begun: Duration,
+    last_rendered: Duration,
+    completed: Option<Duration>,
+}
+
+impl Coordinator {
+    /// No workers yet. `numeric_class`: what all must have; `None` leaves it to the first to join.
+    pub fn new(numeric_class: Option<String>) -> Self {
+        Self { numeric_class, ..Self::default() }
+    }
+
+    /// What to do next; to be called until `None` after every input.
+    pub fn poll(&mut self) -> Option<Output> {
+        self.outputs.pop_front()
+    }
+
+    /// When [`Coordinator::tick`] has to be called at the latest.
+    pub fn deadline(&self) -> Option<Duration> {
+        self.sessions.iter().filter_map(Session::deadline).min()
+    }
+
+    /// The arithmetic of the cluster, once settled.
+    pub fn numeric_class(&self) -> Option<&str> {
+        self.numeric_class.as_deref()
+    }
+
+    /// The name of a worker that has joined and is not gone.
+    pub fn name(&self, worker: WorkerId) -> Option<&str> {
+        Some(self.sessions.get(worker.0 as usize)?.hello()?.name.as_str())
+    }
+
+    /// Workers that have joined and are not gone.
+    pub fn joined(&self) -> impl Iterator<Item = WorkerId> {
+        self.ids().filter(|&worker| self.name(worker).is_some())
+    }
+
+    /// Workers that hold the pack on offer.
+    pub fn holders(&self) -> impl Iterator<Item = WorkerId> {
+        let pack = self.pack;
+        self.ids().filter(move |worker| pack.is_some_and(|p| self.sessions[worker.0 as usize].holds(p)))
+    }
+
+    /// A connection was made, and is safe to talk over.
+    pub fn connected(&mut self, now: Duration) -> WorkerId {
+        let worker = WorkerId(self.sessions.len() as u32);
+        self.sessions.push(Session::new(worker, now));
+        worker
+    }
+
+    /// A message came.
+    pub fn message(&mut self, worker: WorkerId, message: ToMaster, now: Duration) {
+        let class = self.numeric_class.clone();
+        self.with_session(worker, now, |session| session.message(message, class.as_deref()));
+    }
+
+    /// The pixels of a tile came; they and their share of headers took `wire_bytes`.
+    pub fn tile(
+        &mut self,
+        worker: WorkerId,
+        frame: FrameId,
+        entry: &TileEntry,
+        pixels: &[u8],
+        wire_bytes: u64,
+        now: Duration,
+    ) {
+        let Some(active) = &mut self.frame else { return self.out_of_frame(worker, frame, now) };
+        if frame != active.id {
+            return self.out_of_frame(worker, frame, now);
+        }
+        match active.tile(worker, entry, pixels, wire_bytes, now) {
+            Ok(true) => {
+                let (done, total) = (active.dispatch.done(), active.dispatch.total());
+                self.outputs.push_back(Output::Event(Event::Tile { done, total }));
+            }
+            Ok(false) => {}
+            Err(detail) => self.abort(worker, AbortCode::BadTiles, detail, now),
+        }
+    }
+
+    /// The connection of `worker` broke, its process ended, or what it sent does not decode.
+    pub fn lost(&mut self, worker: WorkerId, code: AbortCode, reason: String, now: Duration) {
+        self.with_session(worker, now, |session| session.end(code, reason));
+    }
+
+    /// Time has passed.
+    pub fn tick(&mut self, now: Duration) {
+        for worker in self.ids() {
+            self.with_session(worker, now, |session| session.tick(now));
+        }
+    }
+
+    /// Offers a pack of `length` bytes to every worker; later frames are of it.
+    pub fn load(&mut self, pack: PackId, length: u64, now: Duration) {
+        self.pack = Some(pack);
+        for worker in self.ids() {
+            self.with_session(worker, now, |session| session.offer(pack, length, now));
+        }
+    }
+
+    /// Begins a frame of the loaded pack with all workers that hold it.
+    ///
+    /// # Errors
+    /// The job is out of range. Without a loaded pack or holders the frame begins, and has failed.
+    pub fn begin(&mut self, job: &FrameJob, now: Duration) -> Result<FrameId, FrameError> {
+        let id = FrameId(self.frames_begun + 1);
+        let frame = job.to_wire(id, self.pack.unwrap_or(PackId([0; 32])));
+        let grid = frame.check()?;
+        self.frames_begun += 1;
+        let workers: Vec<_> = self.holders().collect();
+        let reports = workers.iter().map(|&w| (w, WorkerReport::new(self.name(w).unwrap_or("?")))).collect();
+        let (dispatch, assignments) = Dispatch::start(&grid, job.balance, &workers);
+        self.frame = Some(Active {
+            id,
+            grid,
+            dispatch,
+            image: FrameBuffer::new(job.width, job.height, job.format),
+            rays: Rays::default(),
+            reports,
+            late: 0,
+            begun: now,
+            last_rendered: now,
+            completed: None,
+        });
+        for worker in workers {
+            self.outputs.push_back(Output::Send(worker, ToWorker::Frame(frame)));
+        }
+        self.assign(assignments);
+        Ok(id)
+    }
+
+    /// How the current frame stands.
+    pub fn status(&self) -> FrameStatus {
+        match &self.frame {
+            Some(active) if active.dispatch.is_done() => FrameStatus::Done,
+            Some(active) if active.dispatch.workers() == 0 => {
+                FrameStatus::Failed { done: active.dispatch.done(), total: active.dispatch.total() }
+            }
+            _ => FrameStatus::Pending,
+        }
+    }
+
+    /// Ends the current frame, complete or not; the outcome if it is complete.
+    pub fn finish(&mut self) -> Option<Outcome> {
+        let active = self.frame.take()?;
+        for &(worker, _) in &active.reports {
+            if self.name(worker).is_some() {
+                self.outputs.push_back(Output::Send(worker, ToWorker::EndFrame { frame: active.id }));
+            }
+        }
+        active.outcome()
+    }
+
+    /// Sends every worker home.
+    pub fn dismiss(&mut self, now: Duration) {
+        for worker in self.ids() {
+            self.with_session(worker, now, Session::dismiss);
+        }
+    }
+
+    fn ids(&self) -> impl Iterator<Item = WorkerId> + use<> {
+        (0..self.sessions.len() as u32).map(WorkerId)
+    }
+
+    fn abort(&mut self, worker: WorkerId, code: AbortCode, detail: String, now: Duration) {
+        self.with_session(worker, now, |session| session.abort(code, detail));
+    }
+
+    fn assign(&mut self, assignments: Vec<Assignment>) {
+        let Some(active) = &self.frame else { return };
+        for Assignment { worker, attempt, tiles } in assignments {
+            let assign = ToWorker::Assign { frame: active.id, attempt, tiles };
+            self.outputs.push_back(Output::Send(worker, assign));
+        }
+    }
+
+    /// A message about a frame that is not the current one: old ones are late, others never were.
+    fn out_of_frame(&mut self, worker: WorkerId, frame: FrameId, now: Duration) {
+        if frame.0 == 0 || frame.0 > self.frames_begun {
+            self.abort(worker, AbortCode::BadTiles, format!("there is no frame {}", frame.0), now);
+        } else if let Some(active) = &mut self.frame {
+            active.late += 1;
+        }
+    }
+
+    fn with_session(&mut self, worker: WorkerId, now: Duration, act: impl FnOnce(&mut Session) -> Vec<Step>) {
+        let Some(session) = self.sessions.get_mut(worker.0 as usize) else { return };
+        for step in act(session) {
+            match step {
+                Step::Send(message) => self.outputs.push_back(Output::Send(worker, message)),
+                Step::SendPack(pack) => self.outputs.push_back(Output::SendPack(worker, pack)),
+                Step::Joined => {
+                    if let Some(hello) = self.sessions[worker.0 as usize].hello() {
+                        self.numeric_class.get_or_insert_with(|| hello.numeric_class.clone());
+                    }
+                    self.outputs.push_back(Output::Event(Event::Joined(worker)));
+                }
+                Step::PackHeld => self.outputs.push_back(Output::Event(Event::PackHeld(worker))),
+                Step::PackRejected(reason) => {
+                    self.outputs.push_back(Output::Event(Event::PackRejected(worker, reason)));
+                }
+                Step::Rendered { frame, tiles } => self.rendered(worker, frame, tiles, now),
+                Step::Over { code, reason } => {
+                    self.outputs.push_back(Output::Close(worker, code));
+                    self.over(worker, reason);
+                }
+            }
+        }
+    }
+
+    fn rendered(&mut self, worker: WorkerId, frame: FrameId, tiles: u32, now: Duration) {
+        let current = self.frame.as_mut().filter(|active| active.id == frame);
+        let Some(active) = current else {
+            if frame.0 == 0 || frame.0 > self.frames_begun {
+                self.abort(worker, AbortCode::Unexpected, format!("there is no frame {}", frame.0), now);
+            }
+            return;
+        };
+        match active.dispatch.rendered(worker, tiles) {
+            Ok(assignments) => {
+                active.last_rendered = now;
+                self.assign(assignments);
+            }
+            Err(violation) => self.abort(worker, AbortCode::Unexpected, violation.to_string(), now),
+        }
+    }
+
+    fn over(&mut self, worker: WorkerId, reason: String) {
+        if let Some(active) = &mut self.frame {
+            if let Some((_, report)) = active.reports.iter_mut().find(|(w, _)| *w == worker) {
+                report.lost = Some(reason.clone());
+            }
+            let assignments = active.dispatch.lost(worker);
+            self.assign(assignments);
+        }
+        self.outputs.push_back(Output::Event(Event::Lost(worker, reason)));
+    }
+}
+
+impl Active {
+    /// Puts a tile into the image: whether it was the first for its place, or what is wrong with it.
+    fn tile(
+        &mut self,
+        worker: WorkerId,
+        entry: &TileEntry,
+        pixels: &[u8],
+        wire_bytes: u64,
+        now: Duration,
+    ) -> Result<bool, String> {
+        let not_there = Violation::NotAssigned { tile: entry.tile.0, attempt: entry.attempt.0 };
+        let rect = self.grid.rect(entry.tile).ok_or_else(|| not_there.to_string())?;
+        let expected =
+            u64::from(rect.width) * u64::from(rect.height) * self.image.format().bytes_per_pixel() as u64;
+        if pixels.len() as u64 != expected {
+            return Err(format!("tile {} has {} bytes instead of {expected}", entry.tile.0, pixels.len()));
+        }
+        let first =
+            self.dispatch.accept(worker, entry.tile, entry.attempt).map_err(|violation| violation.to_string())?;
+        let report = self.reports.iter_mut().find(|(w, _)| *w == worker).map(|(_, report)| report);
+        if let Some(report) = report {
+            report.bytes_returned += wire_bytes;
+            if first {
+                report.tiles += 1;
+                report.render += Duration::from_micros(entry.render_us.into());
+            }
+        }
+        if first {
+            self.image.put(rect.x, rect.y, rect.width, rect.height, pixels).map_err(|e| e.to_string())?;
+            self.rays += entry.rays;
+            if self.dispatch.is_done() {
+                self.completed = Some(now);
+            }
+        }
+        Ok(first)
+    }
+
+    fn outcome(self) -> Option<Outcome> {
+        let completed = self.completed?;
+        // Pixels may overtake the word that they are rendered: then rendering has hidden the return entirely.
+        let rendered = if self.dispatch.all_rendered() { self.last_rendered } else { completed };
+        let since_begin = |time: Duration| time.saturating_sub(self.begun);
+        let timings = Timings {
+            send_scene: Duration::ZERO,
+            render: since_begin(rendered),
+            return_: completed.saturating_sub(rendered),
+            frame: since_begin(completed),
+        };
+        Some(Outcome {
+            image: self.image,
+            workers: self.reports.into_iter().map(|(_, report)| report).collect(),
+            timings,
+            rays: self.rays,
+            dropped_tiles: self.dispatch.dropped() + self.late,
+        })
+    }
+}
+
+impl WorkerReport {
+    fn new(name: &str) -> Self {
+        Self { name: name.into(), tiles: 0, render: Duration::ZERO, bytes_returned: 0, lost: None }
+    }
+}

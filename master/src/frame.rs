@@ -1,0 +1,135 @@
+//! What a frame is asked for, and what comes back.
+
+use crate::{Balance, FrameBuffer};
+use std::time::Duration;
+use tessera_geometry::LocalCamera;
+use tessera_pack::PackId;
+use tessera_wire::{Camera, Features, Frame, FrameId, PixelFormat, Rays};
+
+/// One frame of the loaded pack.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameJob {
+    /// The view, in the pack's local units.
+    pub camera: LocalCamera,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Side of a tile.
+    pub tile: u32,
+    /// Samples a pixel.
+    pub samples: u32,
+    /// Reflections and refractions a path may take.
+    pub depth: u32,
+    /// Seed of the sampler.
+    pub seed: u64,
+    /// What is switched on.
+    pub features: Features,
+    /// What a pixel holds.
+    pub format: PixelFormat,
+    /// How tiles get to workers.
+    pub balance: Balance,
+}
+
+impl FrameJob {
+    /// The job as a message.
+    pub(crate) fn to_wire(&self, frame: FrameId, pack: tessera_wire::PackId) -> Frame {
+        let Self { camera, width, height, tile, samples, depth, seed, features, format, balance } = *self;
+        let camera = Camera {
+            origin: camera.origin.to_array(),
+            forward: camera.forward.to_array(),
+            right: camera.right.to_array(),
+            up: camera.up.to_array(),
+        };
+        let returns = balance.returns();
+        Frame { frame, pack, camera, width, height, tile, samples, depth, seed, features, format, returns }
+    }
+}
+
+/// What happens, as it happens; for progress bars and logs.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Progress<'a> {
+    /// Pack bytes handed to the transport, over all workers.
+    Sent {
+        /// So far.
+        bytes: u64,
+        /// To be sent.
+        total: u64,
+    },
+    /// Tiles in the image.
+    Tiles {
+        /// So far.
+        done: u32,
+        /// Of the frame.
+        total: u32,
+    },
+    /// A worker is gone; the others go on.
+    WorkerLost {
+        /// Its name.
+        name: &'a str,
+        /// Why.
+        reason: &'a str,
+    },
+}
+
+/// A frame and how it came about.
+#[derive(Clone, Debug)]
+pub struct FrameResult {
+    /// The image.
+    pub image: FrameBuffer,
+    /// The pack that was rendered.
+    pub pack: PackId,
+    /// The arithmetic that rendered it.
+    pub numeric_class: String,
+    /// Every worker that took part, in the order of joining.
+    pub workers: Vec<WorkerReport>,
+    /// Where the time went.
+    pub timings: Timings,
+    /// Bytes on the wire since the cluster started: handshake, pack, frames.
+    pub traffic: Traffic,
+    /// Rays of the image: each tile counted once, however often it was rendered.
+    pub rays: Rays,
+    /// Results that came twice or too late, and were dropped.
+    pub dropped_tiles: u64,
+}
+
+/// A worker's part in a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WorkerReport {
+    /// Its name.
+    pub name: String,
+    /// Tiles of the image that came from it.
+    pub tiles: u32,
+    /// Wall time that it spent rendering those tiles, by its own clock.
+    pub render: Duration,
+    /// Bytes that it returned for this frame: pixels and their headers, dropped ones included.
+    pub bytes_returned: u64,
+    /// Why it was lost, if it was.
+    pub lost: Option<String>,
+}
+
+/// Where a frame's time went, by the master's clock. `frame` is `render` + `return_`; `send_scene` lies before it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Timings {
+    /// From the pack's first offer to the last worker's word that it holds it.
+    pub send_scene: Duration,
+    /// From the frame's announcement to the last worker's word that its last tile is rendered.
+    pub render: Duration,
+    /// From then to the last byte of the image: what the network adds when rendering no longer hides it.
+    pub return_: Duration,
+    /// From the frame's announcement to the complete image.
+    pub frame: Duration,
+}
+
+/// Bytes on the wire, both directions seen from the master.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Traffic {
+    /// Sent: messages with their prefixes, and raw bytes.
+    pub sent: u64,
+    /// Received, likewise.
+    pub received: u64,
+    /// UDP payload sent: with QUIC's headers, acknowledgements and repeats; 0 on in-memory links.
+    pub udp_sent: u64,
+    /// UDP payload received.
+    pub udp_received: u64,
+}

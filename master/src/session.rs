@@ -1,0 +1,345 @@
+//! One worker as the master sees it: handshake, pack, leave. Pure: messages and `now` in, steps out.
+
+use std::time::Duration;
+use tessera_wire::{
+    AbortCode, FrameId, Hello, PackId, PackRefusal, Refusal, ToMaster, ToWorker, Version, WorkerId, limits,
+};
+
+/// State of one connection. Times are counted from the cluster's start.
+#[derive(Debug)]
+pub struct Session {
+    worker: WorkerId,
+    phase: Phase,
+    deadline: Option<Duration>,
+}
+
+#[derive(Debug)]
+enum Phase {
+    /// Nothing has come yet.
+    Greeting,
+    /// `Welcome` is sent.
+    Joined { hello: Hello, holding: Holding },
+    /// Nothing is taken any more.
+    Over,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Holding {
+    Nothing,
+    /// Offered; the worker has not said whether it has it.
+    Offered(PackId),
+    /// Being sent, or checked.
+    Awaited(PackId),
+    Held(PackId),
+}
+
+/// What follows from an input.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Step {
+    /// A message for the worker.
+    Send(ToWorker),
+    /// The bytes of this pack are to be sent.
+    SendPack(PackId),
+    /// The worker has joined.
+    Joined,
+    /// It holds the pack.
+    PackHeld,
+    /// It cannot hold the pack.
+    PackRejected(PackRefusal),
+    /// It has rendered that many more tiles.
+    Rendered {
+        /// Of this frame.
+        frame: FrameId,
+        /// How many.
+        tiles: u32,
+    },
+    /// The session is over; after what was sent before, the connection is to be closed with this code.
+    Over {
+        /// QUIC's close code.
+        code: AbortCode,
+        /// For people.
+        reason: String,
+    },
+}
+
+impl Session {
+    /// A connection that was made at `now`; the worker must say `Hello` soon.
+    pub fn new(worker: WorkerId, now: Duration) -> Self {
+        Self { worker, phase: Phase::Greeting, deadline: Some(now + limits::HANDSHAKE_TIMEOUT) }
+    }
+
+    /// When [`Session::tick`] has to be called at the latest.
+    pub fn deadline(&self) -> Option<Duration> {
+        self.deadline
+    }
+
+    /// The worker's introduction, once it has joined and until it is gone.
+    pub fn hello(&self) -> Option<&Hello> {
+        match &self.phase {
+            Phase::Joined { hello, .. } => Some(hello),
+            Phase::Greeting | Phase::Over => None,
+        }
+    }
+
+    /// Whether the worker can render frames of `pack`.
+    pub fn holds(&self, pack: PackId) -> bool {
+        matches!(&self.phase, Phase::Joined { holding: Holding::Held(held), .. } if *held == pack)
+    }
+
+    /// Takes a message. `numeric_class` is the cluster's, if it is settled.
+    pub fn message(&mut self, message: ToMaster, numeric_class: Option<&str>) -> Vec<Step> {
+        let unexpected = |what: &str| (AbortCode::Unexpected, format!("{what} does not belong here"));
+        let (code, detail) = match (&mut self.phase, message) {
+            (Phase::Over, _) => return Vec::new(),
+            (Phase::Greeting, ToMaster::Hello(hello)) => return self.greet(hello, numeric_class),
+            (_, ToMaster::Abort { code, detail }) => {
+                return self.end(code, format!("it says: {code}: {}", for_people(&detail)));
+            }
+            (_, ToMaster::Leave) => return self.end(AbortCode::Done, "it left".into()),
+            (Phase::Greeting, _) => unexpected("anything but `Hello`"),
+            (Phase::Joined { holding, .. }, message) => match (*holding, message) {
+                (Holding::Offered(offered), ToMaster::PackNeed { pack, have }) if offered == pack => {
+                    *holding = Holding::Awaited(pack);
+                    return if have { Vec::new() } else { vec![Step::SendPack(pack)] };
+                }
+                (Holding::Awaited(awaited), ToMaster::PackReady { pack }) if awaited == pack => {
+                    *holding = Holding::Held(pack);
+                    self.deadline = None;
+                    return vec![Step::PackHeld];
+                }
+                (
+                    Holding::Offered(awaited) | Holding::Awaited(awaited),
+                    ToMaster::PackRejected { pack, reason },
+                ) if awaited == pack => {
+                    *holding = Holding::Nothing;
+                    self.deadline = None;
+                    return vec![Step::PackRejected(reason)];
+                }
+                (Holding::Held(_), ToMaster::Rendered { frame, tiles }) => {
+                    return vec![Step::Rendered { frame, tiles }];
+                }
+                (_, ToMaster::Hello(_)) => unexpected("a second `Hello`"),
+                (_, ToMaster::Rendered { .. }) => unexpected("`Rendered` without a pack"),
+                (_, _) => unexpected("an answer about a pack that is not on offer"),
+            },
+        };
+        self.abort(code, detail)
+    }
+
+    /// Offers a pack of `length` bytes. Nothing happens if the worker has not joined, or holds it already.
+    pub fn offer(&mut self, pack: PackId, length: u64, now: Duration) -> Vec<Step> {
+        let Phase::Joined { holding, .. } = &mut self.phase else { return Vec::new() };
+        if *holding == Holding::Held(pack) {
+            return vec![Step::PackHeld];
+        }
+        *holding = Holding::Offered(pack);
+        self.deadline = Some(now + limits::pack_timeout(length));
+        vec![Step::Send(ToWorker::PackOffer { pack, length })]
+    }
+
+    /// Ends the session if a deadline has passed.
+    pub fn tick(&mut self, now: Duration) -> Vec<Step> {
+        if self.deadline.is_none_or(|deadline| now < deadline) {
+            return Vec::new();
+        }
+        let what = match self.phase {
+            Phase::Greeting => "no `Hello` came in time",
+            Phase::Joined { .. } => "the pack was not taken in time",
+            Phase::Over => return Vec::new(),
+        };
+        self.abort(AbortCode::Timeout, what.into())
+    }
+
+    /// Cuts the worker off.
+    pub fn abort(&mut self, code: AbortCode, detail: String) -> Vec<Step> {
+        if matches!(self.phase, Phase::Over) {
+            return Vec::new();
+        }
+        let mut steps = vec![Step::Send(ToWorker::Abort { code, detail: detail.clone() })];
+        steps.extend(self.end(code, format!("{code}: {detail}")));
+        steps
+    }
+
+    /// Sends the worker home.
+    pub fn dismiss(&mut self) -> Vec<Step> {
+        if matches!(self.phase, Phase::Over) {
+            return Vec::new();
+        }
+        let mut steps = vec![Step::Send(ToWorker::Dismiss)];
+        steps.extend(self.end(AbortCode::Done, "dismissed".into()));
+        steps
+    }
+
+    /// The connection is gone, or must go; nothing can be said any more.
+    pub fn end(&mut self, code: AbortCode, reason: String) -> Vec<Step> {
+        if matches!(self.phase, Phase::Over) {
+            return Vec::new();
+        }
+        self.phase = Phase::Over;
+        self.deadline = None;
+        vec![Step::Over { code, reason }]
+    }
+
+    fn greet(&mut self, hello: Hello, numeric_class: Option<&str>) -> Vec<Step> {
+        let refusal = match (hello.check(), Version::common(&hello.versions)) {
+            (Err(detail), _) => Refusal::Malformed { detail },
+            (Ok(()), None) => Refusal::Version { supported: Version::supported_numbers() },
+            (Ok(()), Some(version)) => match numeric_class {
+                Some(expected) if expected != hello.numeric_class => {
+                    Refusal::NumericClass { expected: expected.into() }
+                }
+                _ => {
+                    self.phase = Phase::Joined { hello, holding: Holding::Nothing };
+                    self.deadline = None;
+                    let welcome = ToWorker::Welcome { version: version.number(), worker: self.worker };
+                    return vec![Step::Send(welcome), Step::Joined];
+                }
+            },
+        };
+        let reason = refusal.to_string();
+        let mut steps = vec![Step::Send(ToWorker::Refuse(refusal))];
+        steps.extend(self.end(AbortCode::Refused, reason));
+        steps
+    }
+}
+
+/// A peer's text, fit for a log line.
+fn for_people(text: &str) -> String {
+    text.chars().filter(|c| !c.is_control()).take(limits::TEXT_BYTES).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOW: Duration = Duration::from_secs(100);
+    const PACK: PackId = PackId([7; 32]);
+
+    fn hello() -> Hello {
+        Hello {
+            versions: vec![1],
+            name: "w".into(),
+            memory: 1 << 30,
+            threads: 1,
+            backend: "cpu".into(),
+            numeric_class: "cpu-1".into(),
+        }
+    }
+
+    fn joined() -> Session {
+        let mut s = Session::new(WorkerId(3), NOW);
+        let welcome = ToWorker::Welcome { version: 1, worker: WorkerId(3) };
+        assert_eq!(
+            s.message(ToMaster::Hello(hello()), Some("cpu-1")),
+            [Step::Send(welcome), Step::Joined]
+        );
+        s
+    }
+
+    /// The session is over for `code`, and takes nothing any more.
+    fn check_over(s: &mut Session, steps: &[Step], code: AbortCode) {
+        assert!(matches!(steps.last(), Some(Step::Over { code: c, .. }) if *c == code), "{steps:?}");
+        assert!(s.hello().is_none() && s.deadline().is_none());
+        assert_eq!(s.message(ToMaster::Leave, None), []);
+        assert_eq!(s.tick(NOW * 100), []);
+        assert_eq!(s.dismiss(), []);
+    }
+
+    #[test]
+    fn a_worker_joins_takes_a_pack_and_renders() {
+        let mut s = joined();
+        assert_eq!(s.offer(PACK, 10, NOW), [Step::Send(ToWorker::PackOffer { pack: PACK, length: 10 })]);
+        assert_eq!(
+            s.message(ToMaster::PackNeed { pack: PACK, have: false }, None),
+            [Step::SendPack(PACK)]
+        );
+        assert!(!s.holds(PACK));
+        assert_eq!(s.message(ToMaster::PackReady { pack: PACK }, None), [Step::PackHeld]);
+        assert!(s.holds(PACK));
+        assert_eq!(s.offer(PACK, 10, NOW), [Step::PackHeld], "no second transfer");
+        let rendered = ToMaster::Rendered { frame: FrameId(1), tiles: 2 };
+        assert_eq!(s.message(rendered, None), [Step::Rendered { frame: FrameId(1), tiles: 2 }]);
+        let steps = s.dismiss();
+        assert_eq!(steps[0], Step::Send(ToWorker::Dismiss));
+        check_over(&mut s, &steps, AbortCode::Done);
+    }
+
+    #[test]
+    fn refusals_have_their_reasons() {
+        let check = |change: &dyn Fn(&mut Hello), class, refusal: Refusal| {
+            let mut s = Session::new(WorkerId(0), NOW);
+            let mut h = hello();
+            change(&mut h);
+            let steps = s.message(ToMaster::Hello(h), class);
+            assert_eq!(steps[0], Step::Send(ToWorker::Refuse(refusal)));
+            check_over(&mut s, &steps, AbortCode::Refused);
+        };
+        check(&|h| h.versions = vec![9], None, Refusal::Version { supported: vec![1] });
+        check(&|_| (), Some("gpu-1"), Refusal::NumericClass { expected: "gpu-1".into() });
+        check(&|h| h.threads = 0, None, Refusal::Malformed { detail: "0 threads".into() });
+        let texts = "name must have 1 to 512 bytes and no control characters";
+        check(&|h| h.name = "\x1b[2J".into(), None, Refusal::Malformed { detail: texts.into() });
+        check(&|h| h.name = String::new(), None, Refusal::Malformed { detail: texts.into() });
+        let many = "17 versions, at most 16 are allowed";
+        check(&|h| h.versions = vec![1; 17], None, Refusal::Malformed { detail: many.into() });
+    }
+
+    #[test]
+    fn silence_has_a_deadline() {
+        let mut s = Session::new(WorkerId(0), NOW);
+        assert_eq!(s.tick(NOW), []);
+        let steps = s.tick(s.deadline().unwrap());
+        check_over(&mut s, &steps, AbortCode::Timeout);
+
+        let mut s = joined();
+        assert_eq!(s.deadline(), None, "a quiet worker between packs is nobody's business but QUIC's");
+        s.offer(PACK, 1 << 30, NOW);
+        assert!(s.deadline().unwrap() > NOW + Duration::from_secs(1000), "a large pack takes its time");
+        let steps = s.tick(s.deadline().unwrap());
+        check_over(&mut s, &steps, AbortCode::Timeout);
+    }
+
+    #[test]
+    fn what_the_state_does_not_allow_ends_the_session() {
+        let other = PackId([8; 32]);
+        let wrong = [
+            ToMaster::Hello(hello()),
+            ToMaster::PackReady { pack: PACK },
+            ToMaster::PackNeed { pack: other, have: true },
+            ToMaster::Rendered { frame: FrameId(1), tiles: 1 },
+            ToMaster::PackRejected { pack: other, reason: PackRefusal::Transfer { detail: "x".into() } },
+        ];
+        for message in wrong {
+            let mut s = joined();
+            s.offer(PACK, 10, NOW);
+            let steps = s.message(message, None);
+            assert!(matches!(steps[0], Step::Send(ToWorker::Abort { code: AbortCode::Unexpected, .. })));
+            check_over(&mut s, &steps, AbortCode::Unexpected);
+        }
+        let mut s = Session::new(WorkerId(0), NOW);
+        let steps = s.message(ToMaster::Rendered { frame: FrameId(1), tiles: 1 }, None);
+        check_over(&mut s, &steps, AbortCode::Unexpected);
+    }
+
+    #[test]
+    fn a_rejected_pack_leaves_the_worker_in_the_session() {
+        let mut s = joined();
+        s.offer(PACK, 10, NOW);
+        let reason = PackRefusal::OutOfMemory { needs: 10, has: 5 };
+        assert_eq!(
+            s.message(ToMaster::PackRejected { pack: PACK, reason: reason.clone() }, None),
+            [Step::PackRejected(reason)]
+        );
+        assert!(s.hello().is_some() && !s.holds(PACK) && s.deadline().is_none());
+        assert!(matches!(s.offer(PackId([1; 32]), 4, NOW)[..], [Step::Send(ToWorker::PackOffer { .. })]));
+    }
+
+    #[test]
+    fn a_worker_s_own_abort_ends_the_session_with_its_words() {
+        let mut s = joined();
+        let abort = ToMaster::Abort { code: AbortCode::Internal, detail: "render\n\x07panic".into() };
+        let steps = s.message(abort, None);
+        let reason = "it says: internal failure: renderpanic".into();
+        assert_eq!(steps, [Step::Over { code: AbortCode::Internal, reason }]);
+    }
+}
