@@ -164,8 +164,8 @@ fn write_exr(image: &FrameBuffer, to: &mut (impl Write + Seek)) -> exr::error::U
         line_order: LineOrder::Increasing,
     };
     let size = Vec2(image.width as usize, image.height as usize);
-    let mut attributes = LayerAttributes::default();
-    attributes.software_name = Some(Text::from("tessera"));
+    let attributes =
+        LayerAttributes { software_name: Some(Text::from("tessera")), ..LayerAttributes::default() };
     let layer = Layer::new(size, attributes, encoding, AnyChannels::sort(channels.collect()));
     Image::from_layer(layer).write().non_parallel().to_buffered(to)
 }
@@ -239,7 +239,7 @@ mod tests {
         assert_eq!((layer.size.0, layer.size.1), (19, 35));
         assert_eq!(layer.channel_data.list.len(), 9);
         for (index, name) in CHANNELS.iter().enumerate() {
-            let found = layer.channel_data.list.iter().find(|c| c.name.eq(*name)).unwrap();
+            let found = layer.channel_data.list.iter().find(|c| c.name.eq(name)).unwrap();
             let bits: Vec<u32> = match &found.sample_data {
                 FlatSamples::F32(v) => v.iter().map(|x| x.to_bits()).collect(),
                 FlatSamples::U32(v) => v.clone(),

@@ -10,6 +10,8 @@ pub mod dispatch;
 mod frame;
 pub mod image;
 pub mod output;
+pub mod prepare;
+pub mod report;
 pub mod session;
 mod transport;
 
@@ -18,4 +20,5 @@ pub use dispatch::Balance;
 pub use frame::{FrameJob, FrameResult, Progress, Timings, Traffic, WorkerReport};
 pub use image::{FrameBuffer, ImageHash, PixelFormat};
 pub use output::{OutputError, OutputFile};
+pub use prepare::{PrepareError, PrepareOptions, Prepared};
 pub use transport::{Link, Pipes, Reader, Writer};

@@ -1,0 +1,342 @@
+//! From a file to a pack: import, flatten, select, pack.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use tessera_geometry::DVec3;
+use tessera_kdtree::BuildOptions;
+use tessera_pack::{
+    Ambient, Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, MaterialFlags, NO_TEXTURE,
+    Pack, PackBuffer, PackInput, PackOptions, PackStats, Plain, Wrap, build_pack,
+};
+use tessera_scene::{
+    AlphaMode, Camera, FlatMesh, LeftOut, LoadOptions, Scene, SceneError, Selection, TextureRef, Without,
+};
+
+/// What of a scene is packed, and how.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PrepareOptions {
+    /// Where to look for sources.
+    pub load: LoadOptions,
+    /// Features to leave out.
+    pub without: Without,
+    /// Vertex data held as `f32`.
+    pub plain: Plain,
+    /// kd-tree.
+    pub tree: BuildOptions,
+}
+
+/// A pack, and everything about the scene that a user may want to know.
+pub struct Prepared {
+    /// File or generator.
+    pub name: String,
+    /// What workers hold.
+    pub pack: Pack,
+    /// Named views, at least one; the first is the default.
+    pub cameras: Vec<Camera>,
+    /// What was in the source; none for a `.tpack` file.
+    pub source: Option<Source>,
+    /// What was left out of the pack, and why.
+    pub left_out: Vec<LeftOut>,
+    /// What was read but not understood, or mended.
+    pub warnings: Vec<String>,
+    /// Defaults that were put in, and where a generated scene comes from.
+    pub notes: Vec<String>,
+    /// Where the time went.
+    pub timings: PrepareTimings,
+}
+
+/// What a source holds, before anything is left out.
+#[derive(Clone, Debug)]
+pub struct Source {
+    /// Nodes of the tree.
+    pub nodes: usize,
+    /// Meshes, each possibly used by several nodes.
+    pub meshes: usize,
+    /// Names of all materials, those that nothing uses among them.
+    pub materials: Vec<String>,
+    /// Name, width and height of every image.
+    pub images: Vec<(String, u32, u32)>,
+    /// Names of all lights.
+    pub lights: Vec<String>,
+    /// Faulty input that was left out, by kind: while reading, then while packing.
+    pub dropped: Vec<(&'static str, u64)>,
+    /// How the pack came out.
+    pub stats: PackStats,
+}
+
+/// Where the time went.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PrepareTimings {
+    /// Reading, parsing and decoding files.
+    pub read: Duration,
+    /// Flattening, selecting, quantising, building the tree, hashing.
+    pub pack: Duration,
+}
+
+/// Why a scene cannot be prepared; each message says what, where and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum PrepareError {
+    /// The source cannot be used.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The source cannot be packed.
+    #[error("{name}: {source}")]
+    Pack {
+        /// File or generator.
+        name: String,
+        /// Why.
+        source: tessera_pack::BuildError,
+    },
+    /// A `.tpack` file cannot be used.
+    #[error("{path}: {what}", path = path.display())]
+    Bundle {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and what to do.
+        what: String,
+    },
+}
+
+/// Reads and packs whatever the user named: a source, a scene file, or a `.tpack` file, which is taken as it is.
+pub fn prepare(path: &Path, options: &PrepareOptions) -> Result<Prepared, PrepareError> {
+    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tpack")) {
+        return read_bundle(path);
+    }
+    let start = Instant::now();
+    let scene = tessera_scene::load(path, &options.load)?;
+    prepare_scene(scene, options, start.elapsed())
+}
+
+/// Reads and checks a `.tpack` file.
+fn read_bundle(path: &Path) -> Result<Prepared, PrepareError> {
+    let start = Instant::now();
+    let pack = read_pack(path).map_err(|what| PrepareError::Bundle { path: path.to_owned(), what })?;
+    let bounds = pack.tree().bounds;
+    let corner = |local| -> DVec3 { pack.frame().to_world(local) };
+    // A scene without cameras gets one that frames its box, as a source without any does.
+    let mut framing = Scene::default();
+    tessera_scene::scene_file::add_defaults(&mut framing, (corner(bounds.min), corner(bounds.max)));
+    Ok(Prepared {
+        name: path.display().to_string(),
+        cameras: framing.cameras,
+        source: None,
+        left_out: Vec::new(),
+        warnings: Vec::new(),
+        notes: vec!["the bundle is used as it is: what it leaves out was decided when it was packed".into()],
+        timings: PrepareTimings { read: start.elapsed(), pack: Duration::ZERO },
+        pack,
+    })
+}
+
+fn read_pack(path: &Path) -> Result<Pack, String> {
+    let unreadable = |e: std::io::Error| format!("cannot be read: {e}");
+    let mut file = File::open(path).map_err(unreadable)?;
+    let length = file.metadata().map_err(unreadable)?.len();
+    let no_memory = || format!("{length} bytes of memory for the bundle could not be had");
+    let mut buffer = usize::try_from(length).ok().and_then(PackBuffer::with_len).ok_or_else(no_memory)?;
+    file.read_exact(buffer.as_mut_slice()).map_err(unreadable)?;
+    Pack::from_buffer(buffer).map_err(|e| e.to_string())
+}
+
+/// Packs a scene that took `read` to load.
+pub fn prepare_scene(
+    mut scene: Scene,
+    options: &PrepareOptions,
+    read: Duration,
+) -> Result<Prepared, PrepareError> {
+    let start = Instant::now();
+    let flat = scene.flatten()?;
+    let selection = Selection::of(&scene, &flat, options.without);
+    let mut source = Source {
+        nodes: scene.nodes.len(),
+        meshes: scene.meshes.len(),
+        materials: scene.materials.iter().map(|m| m.name.clone()).collect(),
+        images: scene.images.iter().map(|i| (i.name.clone(), i.width, i.height)).collect(),
+        lights: scene.lights.iter().map(|l| l.name.clone()).collect(),
+        dropped: std::mem::take(&mut scene.dropped),
+        stats: PackStats::default(),
+    };
+    // A large scene's own vertices are not needed any more; packing wants the memory.
+    scene.meshes = Vec::new();
+    let input = pack_input(&scene, flat, &selection, &options.without);
+    let Scene { name, cameras, mut warnings, notes, .. } = scene;
+    let pack_options = PackOptions { plain: options.plain, tree: options.tree, ..PackOptions::default() };
+    let (pack, stats) = build_pack(input, &pack_options)
+        .map_err(|source| PrepareError::Pack { name: name.clone(), source })?;
+    source.dropped.extend_from_slice(&stats.dropped);
+    warnings.extend_from_slice(&stats.warnings);
+    source.stats = stats;
+    let timings = PrepareTimings { read, pack: start.elapsed() };
+    let left_out = selection.left_out;
+    Ok(Prepared { name, pack, cameras, source: Some(source), left_out, warnings, notes, timings })
+}
+
+/// The camera of this name, or the first.
+pub fn choose_camera<'a>(cameras: &'a [Camera], name: Option<&str>) -> Result<&'a Camera, String> {
+    let found = match name {
+        None => cameras.first(),
+        Some(name) => cameras.iter().find(|c| c.name == name),
+    };
+    found.ok_or_else(|| {
+        let known: Vec<_> = cameras.iter().map(|c| c.name.as_str()).collect();
+        match name {
+            Some(name) => format!("no camera `{name}` in the scene; there is {}", known.join(", ")),
+            None => "the scene has no camera; give one with --eye, --target and --fov".into(),
+        }
+    })
+}
+
+/// Arrays for the packer: what the selection keeps, indices counted anew.
+fn pack_input(scene: &Scene, flat: FlatMesh, selection: &Selection, without: &Without) -> PackInput {
+    let mut textures = Textures { scene, selection, inputs: Vec::new(), places: HashMap::new() };
+    let materials: Vec<_> = selection
+        .materials
+        .iter()
+        .map(|&index| pack_material(&scene.materials[index], without, &mut textures))
+        .collect();
+    let environment = pack_environment(&scene.environment, &mut textures);
+    let mut places = vec![0; scene.materials.len()];
+    for (place, &index) in (0..).zip(&selection.materials) {
+        places[index] = place;
+    }
+    let FlatMesh { positions, normals, uvs, colors, triangles, material_runs } = flat;
+    PackInput {
+        positions,
+        normals: if selection.normals { normals } else { Vec::new() },
+        uvs: if selection.uvs { uvs } else { Vec::new() },
+        colors: if selection.colors { colors } else { Vec::new() },
+        triangles,
+        material_runs: material_runs
+            .into_iter()
+            .map(|(first, material)| (first, places[material as usize]))
+            .collect(),
+        materials,
+        textures: textures.inputs,
+        lights: scene.lights.iter().map(pack_light).collect(),
+        light_positions: scene.lights.iter().map(|l| l.position.to_array()).collect(),
+        ambient: Ambient { radiance: scene.ambient },
+        environment,
+    }
+}
+
+/// Textures in the order in which they are first asked for; one for each image and way of sampling it.
+struct Textures<'a> {
+    scene: &'a Scene,
+    selection: &'a Selection,
+    inputs: Vec<ImageInput>,
+    places: HashMap<TextureRef, u32>,
+}
+
+impl Textures<'_> {
+    /// The texture's place in the pack; none for an image that the selection leaves out.
+    fn place(&mut self, texture: Option<TextureRef>) -> u32 {
+        let kept = |t: &TextureRef| self.selection.images.binary_search(&t.image).is_ok();
+        let Some(texture) = texture.filter(kept) else { return NO_TEXTURE };
+        *self.places.entry(texture).or_insert_with(|| {
+            let image = &self.scene.images[texture.image];
+            self.inputs.push(ImageInput {
+                name: image.name.clone(),
+                width: image.width,
+                height: image.height,
+                rgba: image.rgba.to_vec(),
+                wrap_s: pack_wrap(texture.wrap_s),
+                wrap_t: pack_wrap(texture.wrap_t),
+                nearest: texture.nearest,
+            });
+            self.inputs.len() as u32 - 1
+        })
+    }
+}
+
+fn pack_wrap(wrap: tessera_scene::Wrap) -> Wrap {
+    match wrap {
+        tessera_scene::Wrap::Repeat => Wrap::Repeat,
+        tessera_scene::Wrap::Mirror => Wrap::Mirror,
+        tessera_scene::Wrap::Clamp => Wrap::Clamp,
+    }
+}
+
+fn pack_material(
+    material: &tessera_scene::Material,
+    without: &Without,
+    textures: &mut Textures<'_>,
+) -> Material {
+    let (alpha_flag, alpha_cutoff) = match material.alpha {
+        AlphaMode::Opaque => (0, 0.0),
+        AlphaMode::Mask(cutoff) => (MaterialFlags::ALPHA_MASK, cutoff),
+        AlphaMode::Blend => (MaterialFlags::ALPHA_BLEND, 0.0),
+    };
+    let flag = |on: bool, bit: u32| if on { bit } else { 0 };
+    let transmissive = material.transmission > 0.0 && !without.refraction;
+    Material {
+        base_color: material.base_color,
+        specular: material.specular,
+        metallic: material.metallic,
+        emissive: material.emissive,
+        roughness: material.roughness,
+        transmission: if transmissive { material.transmission } else { 0.0 },
+        ior: material.ior,
+        alpha_cutoff,
+        flags: alpha_flag
+            | flag(material.double_sided, MaterialFlags::DOUBLE_SIDED)
+            | flag(material.unlit, MaterialFlags::UNLIT)
+            | flag(material.thin_walled, MaterialFlags::THIN_WALLED),
+        base_texture: textures.place(material.base_texture),
+        metallic_roughness_texture: textures.place(material.metallic_roughness_texture),
+        emissive_texture: textures.place(material.emissive_texture),
+        transmission_texture: textures.place(material.transmission_texture.filter(|_| transmissive)),
+    }
+}
+
+fn pack_light(light: &tessera_scene::Light) -> Light {
+    let (kind, cos_inner, cos_outer) = match light.kind {
+        tessera_scene::LightKind::Point => (LightKind::Point, 1.0, 0.0),
+        tessera_scene::LightKind::Directional => (LightKind::Directional, 1.0, 0.0),
+        tessera_scene::LightKind::Spot { inner, outer } => {
+            (LightKind::Spot, libm::cosf(inner), libm::cosf(outer))
+        }
+    };
+    Light {
+        position: light.position.as_vec3().to_array(),
+        kind: kind as u32,
+        direction: light.direction.as_vec3().to_array(),
+        range: light.range,
+        intensity: light.intensity,
+        cos_inner,
+        cos_outer,
+        reserved: [0; 3],
+    }
+}
+
+fn pack_environment(environment: &tessera_scene::Environment, textures: &mut Textures<'_>) -> Environment {
+    match *environment {
+        tessera_scene::Environment::None => Environment::default(),
+        tessera_scene::Environment::Gradient { zenith, horizon, nadir } => Environment {
+            kind: EnvironmentKind::Gradient as u32,
+            zenith,
+            horizon,
+            nadir,
+            ..Environment::default()
+        },
+        tessera_scene::Environment::Map { image, scale } => {
+            let sampling = TextureRef {
+                image,
+                wrap_s: tessera_scene::Wrap::Repeat,
+                wrap_t: tessera_scene::Wrap::Clamp,
+                nearest: false,
+            };
+            match textures.place(Some(sampling)) {
+                NO_TEXTURE => Environment::default(),
+                texture => Environment {
+                    kind: EnvironmentKind::Map as u32,
+                    zenith: [scale; 3],
+                    texture,
+                    ..Environment::default()
+                },
+            }
+        }
+    }
+}

@@ -1,0 +1,316 @@
+//! What is said about a render: one JSON object, or text for people.
+
+use crate::{FrameJob, FrameResult, ImageHash, Prepared};
+use serde::Serialize;
+use std::fmt::Write;
+use std::path::PathBuf;
+use std::time::Duration;
+use tessera_geometry::CameraPose;
+use tessera_scene::LeftOut;
+
+/// A render, as `--report` and `--json` write it. Times in milliseconds, lengths in bytes.
+#[derive(Clone, Debug, Serialize)]
+pub struct RenderReport {
+    /// What was rendered: a file or a generator.
+    pub scene: String,
+    /// The file that was written.
+    pub out: PathBuf,
+    /// BLAKE3 of format name, width, height and rows in the frame's wire format, hexadecimal.
+    pub image_hash: String,
+    /// The frame's wire format.
+    pub format: &'static str,
+    /// BLAKE3 of the pack's content, hexadecimal.
+    pub pack_id: String,
+    /// Frames of one class are equal bit for bit.
+    pub numeric_class: String,
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// Side of a tile.
+    pub tile: u32,
+    /// How tiles got to workers.
+    pub balance: &'static str,
+    /// Samples a pixel.
+    pub spp: u32,
+    /// Reflections and refractions a path may take.
+    pub depth: u32,
+    /// The view.
+    pub camera: CameraReport,
+    /// Every worker, in the order of joining.
+    pub workers: Vec<WorkerLine>,
+    /// Where the time went.
+    pub ms: Milliseconds,
+    /// UDP payload in both directions since the workers were started; for a render in this process the bytes of its messages.
+    pub bytes_on_wire: u64,
+    /// Bytes of the pack.
+    pub bytes_pack: u64,
+    /// Rays of the image by kind.
+    pub rays: Rays,
+    /// What was left out, and why.
+    pub left_out: Vec<LeftOutLine>,
+    /// What was read but not understood, or mended.
+    pub warnings: Vec<String>,
+    /// Defaults in use, and where a generated scene comes from.
+    pub notes: Vec<String>,
+}
+
+/// A view in world space.
+#[derive(Clone, Debug, Serialize)]
+pub struct CameraReport {
+    /// The scene's name for it; none when it was given by hand.
+    pub name: Option<String>,
+    /// Eye position.
+    pub eye: [f64; 3],
+    /// A point on the axis.
+    pub target: [f64; 3],
+    /// What points up in the image.
+    pub up: [f64; 3],
+    /// Vertical, in degrees.
+    pub fov_degrees: f64,
+}
+
+impl CameraReport {
+    /// Of a pose.
+    pub fn new(name: Option<String>, pose: &CameraPose) -> Self {
+        let (eye, target, up) = (pose.eye.to_array(), pose.target.to_array(), pose.up.to_array());
+        Self { name, eye, target, up, fov_degrees: pose.fov_degrees }
+    }
+}
+
+/// A worker's part.
+#[derive(Clone, Debug, Serialize)]
+pub struct WorkerLine {
+    /// Its name.
+    pub name: String,
+    /// Tiles of the image that came from it.
+    pub tiles: u32,
+    /// Wall time that it spent rendering those tiles, by its own clock.
+    pub render_ms: f64,
+    /// Bytes that it returned: pixels and their headers.
+    pub bytes_returned: u64,
+    /// Why it was lost, if it was.
+    pub lost: Option<String>,
+}
+
+/// Where the time went.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Milliseconds {
+    /// Reading the scene's files.
+    pub read: f64,
+    /// Flattening, quantising, building the tree.
+    pub pack: f64,
+    /// Starting the workers.
+    pub start: f64,
+    /// From the pack's first offer until every worker held it, checked.
+    pub send_scene: f64,
+    /// From the frame's announcement until the last tile was rendered.
+    pub render: f64,
+    /// From then until the last byte of the image had come.
+    #[serde(rename = "return")]
+    pub return_: f64,
+    /// `render` + `return`.
+    pub frame: f64,
+    /// Writing the image file.
+    pub write: f64,
+}
+
+/// Rays by kind.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Rays {
+    /// From the eye.
+    pub primary: u64,
+    /// Towards lights.
+    pub shadow: u64,
+    /// Off mirrors.
+    pub reflection: u64,
+    /// Through glass and partly covered surfaces.
+    pub refraction: u64,
+}
+
+/// Something that was left out.
+#[derive(Clone, Debug, Serialize)]
+pub struct LeftOutLine {
+    /// What.
+    pub what: String,
+    /// Why.
+    pub why: String,
+    /// Bytes that it would have taken in the source's form; 0 when it takes none or nobody knows.
+    pub bytes: u64,
+}
+
+impl From<&LeftOut> for LeftOutLine {
+    fn from(left_out: &LeftOut) -> Self {
+        Self { what: left_out.what.clone(), why: left_out.why.clone(), bytes: left_out.bytes }
+    }
+}
+
+/// What only the caller of a render knows.
+pub struct RenderFacts<'a> {
+    /// The scene.
+    pub prepared: &'a Prepared,
+    /// What was asked for.
+    pub job: &'a FrameJob,
+    /// The view.
+    pub camera: CameraReport,
+    /// The file that was written.
+    pub out: PathBuf,
+    /// Of the image.
+    pub hash: ImageHash,
+    /// Time that starting the workers took.
+    pub start: Duration,
+    /// Time that writing the file took.
+    pub write: Duration,
+}
+
+impl RenderReport {
+    /// Puts together what the parts of a render know.
+    pub fn new(facts: RenderFacts<'_>, result: &FrameResult) -> Self {
+        let RenderFacts { prepared, job, camera, out, hash, start, write } = facts;
+        let traffic = &result.traffic;
+        let udp = traffic.udp_sent + traffic.udp_received;
+        Self {
+            scene: prepared.name.clone(),
+            out,
+            image_hash: hash.to_string(),
+            format: job.format.name(),
+            pack_id: tessera_wire::PackId(result.pack.0).to_string(),
+            numeric_class: result.numeric_class.clone(),
+            size: [job.width, job.height],
+            tile: job.tile,
+            balance: job.balance.name(),
+            spp: job.samples,
+            depth: job.depth,
+            camera,
+            workers: result
+                .workers
+                .iter()
+                .map(|worker| WorkerLine {
+                    name: worker.name.clone(),
+                    tiles: worker.tiles,
+                    render_ms: ms(worker.render),
+                    bytes_returned: worker.bytes_returned,
+                    lost: worker.lost.clone(),
+                })
+                .collect(),
+            ms: Milliseconds {
+                read: ms(prepared.timings.read),
+                pack: ms(prepared.timings.pack),
+                start: ms(start),
+                send_scene: ms(result.timings.send_scene),
+                render: ms(result.timings.render),
+                return_: ms(result.timings.return_),
+                frame: ms(result.timings.frame),
+                write: ms(write),
+            },
+            bytes_on_wire: if udp > 0 { udp } else { traffic.sent + traffic.received },
+            bytes_pack: prepared.pack.bytes().len() as u64,
+            rays: Rays {
+                primary: result.rays.primary,
+                shadow: result.rays.shadow,
+                reflection: result.rays.reflection,
+                refraction: result.rays.refraction,
+            },
+            left_out: prepared.left_out.iter().map(LeftOutLine::from).collect(),
+            warnings: prepared.warnings.clone(),
+            notes: prepared.notes.clone(),
+        }
+    }
+
+    /// The report for people.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        // Writing to a string cannot fail.
+        let _ = self.write_text(&mut text);
+        text
+    }
+
+    fn write_text(&self, t: &mut String) -> std::fmt::Result {
+        let Milliseconds { read, pack, start, send_scene, render, return_, frame, write } = self.ms;
+        let [width, height] = self.size;
+        writeln!(t, "scene      {}, pack of {}", self.scene, bytes(self.bytes_pack))?;
+        let camera = self.camera.name.as_deref().unwrap_or("given by --eye, --target and --fov");
+        writeln!(t, "camera     {camera}")?;
+        writeln!(
+            t,
+            "image      {width} x {height} {}, {} a pixel, depth {}, tiles of {}, {} balancing",
+            self.format,
+            plural(self.spp.into(), "sample"),
+            self.depth,
+            self.tile,
+            self.balance
+        )?;
+        writeln!(
+            t,
+            "time       read {read:.0} ms, pack {pack:.0} ms, start workers {start:.0} ms, send scene {send_scene:.0} ms, \
+             render {render:.0} ms, return {return_:.0} ms, write {write:.0} ms"
+        )?;
+        let rays = self.rays;
+        let all = rays.primary + rays.shadow + rays.reflection + rays.refraction;
+        writeln!(
+            t,
+            "rays       {all} ({} primary, {} shadow, {} reflection, {} refraction), {:.2} million a second",
+            rays.primary,
+            rays.shadow,
+            rays.reflection,
+            rays.refraction,
+            all as f64 / (frame.max(1e-3) * 1e3)
+        )?;
+        for worker in &self.workers {
+            write!(
+                t,
+                "worker     {}: {}, rendering {:.0} ms, returned {}",
+                worker.name,
+                plural(worker.tiles.into(), "tile"),
+                worker.render_ms,
+                bytes(worker.bytes_returned)
+            )?;
+            match &worker.lost {
+                Some(why) => writeln!(t, ", lost: {why}")?,
+                None => writeln!(t)?,
+            }
+        }
+        writeln!(t, "wire       {}", bytes(self.bytes_on_wire))?;
+        write_lists(t, &self.left_out, &self.warnings, &self.notes)?;
+        writeln!(t, "image hash {}", self.image_hash)?;
+        writeln!(t, "wrote      {}", self.out.display())
+    }
+}
+
+/// Lines for what was left out, for warnings and for notes.
+pub fn write_lists(
+    t: &mut String,
+    left_out: &[LeftOutLine],
+    warnings: &[String],
+    notes: &[String],
+) -> std::fmt::Result {
+    for line in left_out {
+        match line.bytes {
+            0 => writeln!(t, "left out   {}: {}", line.what, line.why)?,
+            n => writeln!(t, "left out   {} ({}): {}", line.what, bytes(n), line.why)?,
+        }
+    }
+    for line in warnings {
+        writeln!(t, "warning    {line}")?;
+    }
+    for line in notes {
+        writeln!(t, "note       {line}")?;
+    }
+    Ok(())
+}
+
+/// A length for people: bytes, KiB, MiB or GiB.
+pub fn bytes(n: u64) -> String {
+    match n {
+        0..1024 => format!("{n} B"),
+        1024..1_048_576 => format!("{:.1} KiB", n as f64 / 1024.0),
+        1_048_576..1_073_741_824 => format!("{:.2} MiB", n as f64 / 1_048_576.0),
+        _ => format!("{:.2} GiB", n as f64 / 1_073_741_824.0),
+    }
+}
+
+fn plural(n: u64, what: &str) -> String {
+    if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") }
+}
+
+fn ms(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}
