@@ -1,2 +1,65 @@
-//! The `tessera` command.
-fn main() {}
+//! The `tessera` command: flags, logging, exit codes.
+
+mod commands;
+
+use clap::Parser;
+use clap::error::ErrorKind;
+use commands::{Cli, CommandError, LogArgs, LogFormat};
+use std::io::IsTerminal;
+use std::process::ExitCode;
+use tracing_subscriber::EnvFilter;
+
+fn main() -> ExitCode {
+    let result = Cli::try_parse().map_err(usage_error).and_then(|cli| {
+        start_logging(&cli.log)?;
+        cli.run()
+    });
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("tessera: error: {}", commands::one_line(&error.to_string()));
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+/// Prints help and version as clap does; turns everything else into one line.
+fn usage_error(error: clap::Error) -> CommandError {
+    match error.kind() {
+        ErrorKind::DisplayHelp
+        | ErrorKind::DisplayVersion
+        | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => error.exit(),
+        _ => {
+            let text = error.render().to_string();
+            let message: Vec<_> = text
+                .lines()
+                .take_while(|line| !line.starts_with("Usage:"))
+                .filter(|line| !line.starts_with("For more information"))
+                .collect();
+            let message = message.join(" ");
+            let message = message.trim().trim_start_matches("error: ").trim_end();
+            CommandError::Usage(format!("{message} (see --help)"))
+        }
+    }
+}
+
+/// Logs go to stderr: warnings, and with `-v` and `-vv` more; `RUST_LOG` decides if it is set.
+fn start_logging(args: &LogArgs) -> Result<(), CommandError> {
+    let filter = match std::env::var("RUST_LOG") {
+        Ok(filter) if !filter.is_empty() => EnvFilter::try_new(filter)
+            .map_err(|e| CommandError::Usage(format!("RUST_LOG cannot be read: {e}")))?,
+        _ => EnvFilter::new(match args.verbose {
+            0 => "warn",
+            1 => "warn,tessera=info,tessera_master=info,tessera_worker=info,tessera_scene=info",
+            _ => "info,tessera=debug,tessera_master=debug,tessera_worker=debug,tessera_scene=debug",
+        }),
+    };
+    let colour = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|v| v.is_empty());
+    let logs =
+        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colour);
+    match args.log_format {
+        LogFormat::Text => logs.init(),
+        LogFormat::Json => logs.json().init(),
+    }
+    Ok(())
+}

@@ -1,0 +1,157 @@
+//! The command line.
+
+mod args;
+mod compare;
+mod demo;
+mod error;
+mod info;
+mod info_text;
+mod pack;
+mod progress;
+mod render;
+mod run;
+mod worker;
+
+pub use error::{CommandError, one_line};
+
+use clap::{Args, Parser, Subcommand};
+use std::path::PathBuf;
+
+/// Renders real scenes on a cluster of workers.
+///
+/// A master prepares the scene, sends it to the workers once, hands out tiles of the image and puts the picture together. The picture is
+/// the same, bit for bit, for every number of workers, tile size and balancing.
+#[derive(Debug, Parser)]
+#[command(name = "tessera", version, disable_help_subcommand = true, after_help = EXAMPLES)]
+pub struct Cli {
+    #[command(flatten)]
+    pub log: LogArgs,
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  tessera demo                                         a built-in scene on 4 local workers: demo.png
+  tessera render scene.glb --out picture.png           in this process, with all cores
+  tessera render scene.glb --out picture.exr --workers 4
+  tessera scene info scene.glb                         what is in it, what is left out, how large it becomes
+  tessera compare a.png b.png                          how far two pictures differ
+
+Exit codes: 0 done, 1 the work failed, 2 wrong usage, 130 interrupted.";
+
+/// Logging, the same for every command.
+#[derive(Clone, Debug, Args)]
+pub struct LogArgs {
+    /// Log what happens to stderr; twice for more. RUST_LOG, if set, decides instead.
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+    /// How log lines are written.
+    #[arg(long, global = true, value_enum, default_value_t, value_name = "FORMAT")]
+    pub log_format: LogFormat,
+}
+
+/// How log lines are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogFormat {
+    /// For people.
+    #[default]
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Render a built-in scene on 4 local workers and write demo.png
+    Demo(demo::DemoArgs),
+    /// Render a scene to a PNG or EXR file
+    Render(render::RenderArgs),
+    /// Look into a scene, or pack it for workers
+    #[command(subcommand)]
+    Scene(SceneCommand),
+    /// Say how far two pictures differ
+    Compare(compare::CompareArgs),
+    /// Serve one local master; started by the master itself
+    #[command(hide = true)]
+    Worker,
+}
+
+/// What to do with a scene.
+#[derive(Debug, Subcommand)]
+pub enum SceneCommand {
+    /// Report what is in a scene, what is left out and why, and how large it becomes
+    Info(info::InfoArgs),
+    /// Write the bundle that workers hold
+    Pack(pack::PackArgs),
+}
+
+/// Which scene, and what of it is packed.
+#[derive(Clone, Debug, Args)]
+pub struct SceneArgs {
+    /// A .glb, .gltf, .obj or .ply file, a scene file (.toml), or a bundle (.tpack)
+    ///
+    /// What a scene file names is looked for beside it and then in the folder of the environment variable TESSERA_SCENES.
+    #[arg(value_name = "SCENE")]
+    pub scene: PathBuf,
+    #[command(flatten)]
+    pub packing: PackingArgs,
+}
+
+/// What of a scene is packed, and how.
+#[derive(Clone, Debug, Default, Args)]
+#[command(next_help_heading = "Packing")]
+pub struct PackingArgs {
+    /// Hold vertex data as f32 instead of quantised: all of it, or what is listed
+    #[arg(
+        long,
+        value_name = "PARTS",
+        value_enum,
+        value_delimiter = ',',
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "positions,normals,uv"
+    )]
+    pub plain: Vec<args::PlainPart>,
+    /// Triangle references on an inner node of the kd-tree [default: 2]
+    #[arg(long, value_name = "0|1|2", value_parser = clap::value_parser!(u32).range(0..=2))]
+    pub refs: Option<u32>,
+    /// Leave out features, separated by commas
+    #[arg(long, value_name = "FEATURES", value_enum, value_delimiter = ',')]
+    pub without: Vec<args::Feature>,
+}
+
+impl Cli {
+    /// Does what was asked.
+    pub fn run(self) -> Result<(), CommandError> {
+        let quiet = self.log.verbose > 0 || std::env::var_os("RUST_LOG").is_some();
+        let progress = progress::Progress::new(quiet);
+        match self.command {
+            Command::Demo(args) => demo::run(args, &progress),
+            Command::Render(args) => render::run(args, &progress),
+            Command::Scene(SceneCommand::Info(args)) => info::run(args, &progress),
+            Command::Scene(SceneCommand::Pack(args)) => pack::run(args, &progress),
+            Command::Compare(args) => compare::run(args),
+            Command::Worker => worker::run(),
+        }
+    }
+}
+
+/// Prints one JSON object to stdout.
+fn print_json(value: &impl serde::Serialize) -> Result<(), CommandError> {
+    let text = serde_json::to_string_pretty(value).map_err(CommandError::failed)?;
+    print_text(&format!("{text}\n"))
+}
+
+/// Prints to stdout. A reader that has gone away (`tessera ... | head`) is no failure.
+fn print_text(text: &str) -> Result<(), CommandError> {
+    use std::io::Write;
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(CommandError::Failed(format!("cannot write to stdout: {e}")))
+        }
+        _ => Ok(()),
+    }
+}

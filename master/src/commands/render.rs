@@ -1,0 +1,225 @@
+//! `tessera render`.
+
+use super::args::{Size, Triple, field_of_view};
+use super::progress::Progress;
+use super::run::{Crew, Rendered, prepare_scene, render_frame};
+use super::{CommandError, PackingArgs, SceneArgs};
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+use tessera_geometry::{CameraPose, DVec3};
+use tessera_master::prepare::{Prepared, choose_camera};
+use tessera_master::report::{CameraReport, RenderFacts, RenderReport};
+use tessera_master::{Balance, FrameJob, OutputFile, PixelFormat};
+use tessera_wire::{Features, TileGrid, limits};
+
+/// What to render, and how.
+#[derive(Debug, Args)]
+#[command(
+    long_about = "Render a scene to a PNG or EXR file\n\n\
+        The same scene, size, samples and features give the same picture, bit for bit, whatever the number of workers, threads and tiles, \
+        and whatever the balancing: compare the image hash that every render prints.",
+    after_help = "Examples:\n\
+        \x20 tessera render bunny.ply --out bunny.png\n\
+        \x20 tessera render scenes/sponza.toml --out sponza.png --workers 4 --size 1920x1080 --spp 4\n\
+        \x20 tessera render room.glb --out room.exr --eye -120,20,0 --target 0,45,-5 --fov 70\n\
+        \x20 tessera render room.glb --out flat.png --without textures,shadows --report report.json"
+)]
+pub struct RenderArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// The file to write: .png (sRGB) or .exr (linear, with depth, normal and triangle layers)
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Local worker processes; 0 renders in this process
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=WORKERS_MAX))]
+    workers: u32,
+    #[command(flatten)]
+    frame: FrameArgs,
+}
+
+/// Most worker processes on one machine.
+pub const WORKERS_MAX: i64 = 256;
+
+/// One frame, for every command that renders.
+#[derive(Clone, Debug, Args)]
+pub struct FrameArgs {
+    /// Image size in pixels
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1024x1024", help_heading = "Image")]
+    size: Size,
+    /// Samples a pixel; one goes through the pixel's centre
+    #[arg(long, value_name = "N", default_value_t = 1, help_heading = "Image")]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=i64::from(limits::SAMPLES)))]
+    spp: u32,
+    /// Mirrors and glass that a path may meet one after the other
+    #[arg(long, value_name = "N", default_value_t = 8, help_heading = "Image")]
+    #[arg(value_parser = clap::value_parser!(u32).range(0..=i64::from(limits::DEPTH)))]
+    depth: u32,
+    /// Bits a channel of a PNG file
+    #[arg(long, value_enum, default_value_t, help_heading = "Image")]
+    bits: Bits,
+    /// A camera of the scene [default: its first; if the scene has none, one that frames the scene's box]
+    #[arg(long, value_name = "NAME", help_heading = "Camera")]
+    #[arg(conflicts_with_all = ["eye", "target", "up", "fov"])]
+    camera: Option<String>,
+    /// Eye position; needs --target and --fov
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, help_heading = "Camera")]
+    #[arg(requires = "target", requires = "fov")]
+    eye: Option<Triple>,
+    /// The point in the middle of the image
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, help_heading = "Camera")]
+    #[arg(requires = "eye", requires = "fov")]
+    target: Option<Triple>,
+    /// What points up in the image [default: 0,1,0]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, requires = "eye", help_heading = "Camera")]
+    up: Option<Triple>,
+    /// Vertical field of view in degrees
+    #[arg(long, value_name = "DEG", value_parser = field_of_view, allow_hyphen_values = true)]
+    #[arg(requires = "eye", requires = "target", help_heading = "Camera")]
+    fov: Option<f64>,
+    /// Side of a tile in pixels
+    #[arg(long, value_name = "N", default_value_t = 128, help_heading = "Cluster")]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..))]
+    tile: u32,
+    /// How tiles get to workers; the picture is the same
+    ///
+    /// paper-static deals them row by row, each worker returns all of its tiles at once; static deals them without stripes and has them
+    /// returned in batches; paper-dynamic gives one at a time to whoever asks; dynamic does so with a few tiles ahead of need.
+    #[arg(long, value_name = "MODE", default_value_t, help_heading = "Cluster")]
+    #[arg(value_parser = PossibleValuesParser::new(Balance::ALL.map(Balance::name)).try_map(|s| s.parse::<Balance>()))]
+    balance: Balance,
+    /// Threads of each worker [default: the cores, shared out among the workers]
+    #[arg(long, value_name = "N", help_heading = "Cluster")]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=1024))]
+    threads: Option<u32>,
+    /// Write a JSON report of the render to a file
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+    /// Print the report as one JSON object on stdout, and nothing else
+    #[arg(long)]
+    json: bool,
+}
+
+/// Bits a channel of a PNG file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+enum Bits {
+    #[default]
+    #[value(name = "8")]
+    Eight,
+    #[value(name = "16")]
+    Sixteen,
+}
+
+pub fn run(args: RenderArgs, progress: &Progress) -> Result<(), CommandError> {
+    let RenderArgs { scene, out, workers, frame } = args;
+    let plan = Plan::check(&out, workers, &frame, &scene.packing)?;
+    let prepared = prepare_scene(&scene.scene, &scene.packing, progress)?;
+    plan.render(&prepared, progress)
+}
+
+/// A render whose arguments have been checked as far as they can be without the scene.
+pub struct Plan<'a> {
+    out: OutputFile,
+    report: Option<OutputFile>,
+    format: PixelFormat,
+    features: Features,
+    workers: u32,
+    args: &'a FrameArgs,
+}
+
+impl<'a> Plan<'a> {
+    /// Checks what can be checked before the scene is read.
+    pub fn check(
+        out: &Path,
+        workers: u32,
+        args: &'a FrameArgs,
+        packing: &PackingArgs,
+    ) -> Result<Self, CommandError> {
+        let format = pixel_format(out, args.bits)?;
+        TileGrid::new(args.size.width, args.size.height, args.tile).map_err(CommandError::usage)?;
+        let without = packing.without();
+        let features = Features {
+            shadows: !without.shadows,
+            reflection: !without.reflection,
+            refraction: !without.refraction,
+        };
+        let report = args.report.as_deref().map(OutputFile::check).transpose();
+        Ok(Self {
+            out: OutputFile::check(out).map_err(CommandError::failed)?,
+            report: report.map_err(CommandError::failed)?,
+            format,
+            features,
+            workers,
+            args,
+        })
+    }
+
+    /// Renders, writes the files and says what was done.
+    pub fn render(self, prepared: &Prepared, progress: &Progress) -> Result<(), CommandError> {
+        let args = self.args;
+        let (name, pose) = args.pose(prepared)?;
+        let Size { width, height } = args.size;
+        let frame = prepared.pack.frame();
+        let camera = pose
+            .to_local(&frame, width, height)
+            .map_err(|e| CommandError::Usage(format!("the camera cannot be used: {e}")))?;
+        let job = FrameJob {
+            camera,
+            width,
+            height,
+            tile: args.tile,
+            samples: args.spp,
+            depth: args.depth,
+            seed: 0,
+            features: self.features,
+            format: self.format,
+            balance: args.balance,
+        };
+        let crew = Crew { workers: self.workers, threads: args.threads };
+        let Rendered { frame, start } = render_frame(&prepared.pack, &job, crew, progress)?;
+        let begin = Instant::now();
+        frame.image.write(&self.out).map_err(CommandError::failed)?;
+        let facts = RenderFacts {
+            prepared,
+            job: &job,
+            camera: CameraReport::new(name, &pose),
+            out: self.out.path().to_owned(),
+            hash: frame.image.hash(),
+            start,
+            write: begin.elapsed(),
+        };
+        let report = RenderReport::new(facts, &frame);
+        if let Some(file) = &self.report {
+            file.write(|to| serde_json::to_writer_pretty(to, &report)).map_err(CommandError::failed)?;
+        }
+        if args.json { super::print_json(&report) } else { super::print_text(&report.text()) }
+    }
+}
+
+impl FrameArgs {
+    /// The view that was asked for, and its name in the scene if it has one.
+    fn pose(&self, prepared: &Prepared) -> Result<(Option<String>, CameraPose), CommandError> {
+        if let (Some(eye), Some(target), Some(fov_degrees)) = (self.eye, self.target, self.fov) {
+            let up = self.up.unwrap_or(Triple([0.0, 1.0, 0.0]));
+            let vector = |t: Triple| DVec3::from_array(t.0);
+            let pose = CameraPose { eye: vector(eye), target: vector(target), up: vector(up), fov_degrees };
+            return Ok((None, pose));
+        }
+        let camera = choose_camera(&prepared.cameras, self.camera.as_deref()).map_err(CommandError::Usage)?;
+        Ok((Some(camera.name.clone()), camera.pose))
+    }
+}
+
+fn pixel_format(out: &Path, bits: Bits) -> Result<PixelFormat, CommandError> {
+    let extension = out.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
+    match (extension.as_str(), bits) {
+        ("png", Bits::Eight) => Ok(PixelFormat::Rgba8),
+        ("png", Bits::Sixteen) => Ok(PixelFormat::Rgba16),
+        ("exr", _) => Ok(PixelFormat::Layers),
+        _ => Err(CommandError::Usage(format!(
+            "--out {}: unknown picture format; name the file .png or .exr",
+            out.display()
+        ))),
+    }
+}

@@ -1,0 +1,160 @@
+//! Preparing a scene and rendering one frame of it, for every command that does.
+
+use super::progress::Progress;
+use super::{CommandError, PackingArgs, args};
+use std::path::Path;
+use std::time::{Duration, Instant};
+use tessera_master::prepare::{PrepareOptions, Prepared, prepare};
+use tessera_master::{Cluster, ClusterConfig, FrameJob, FrameResult, Link, LocalWorkers, Pipes, Workers};
+use tessera_pack::{Pack, Plain};
+use tessera_scene::{LoadOptions, Without};
+use tessera_worker::{NUMERIC_CLASS, WorkerConfig, WorkerPipes};
+
+impl PackingArgs {
+    /// What the library is to do.
+    pub fn options(&self) -> PrepareOptions {
+        let plain = |part| self.plain.contains(&part);
+        let mut options = PrepareOptions {
+            load: LoadOptions { scenes_folder: std::env::var_os("TESSERA_SCENES").map(Into::into) },
+            without: self.without(),
+            plain: Plain {
+                positions: plain(args::PlainPart::Positions),
+                normals: plain(args::PlainPart::Normals),
+                uvs: plain(args::PlainPart::Uv),
+            },
+            ..PrepareOptions::default()
+        };
+        options.tree.max_refs = self.refs.unwrap_or(options.tree.max_refs);
+        options
+    }
+
+    /// Features to leave out.
+    pub fn without(&self) -> Without {
+        let without = |feature| self.without.contains(&feature);
+        Without {
+            textures: without(args::Feature::Textures),
+            shadows: without(args::Feature::Shadows),
+            reflection: without(args::Feature::Reflection),
+            refraction: without(args::Feature::Refraction),
+        }
+    }
+}
+
+/// Prepares the scene that the user named.
+pub fn prepare_scene(
+    path: &Path,
+    packing: &PackingArgs,
+    progress: &Progress,
+) -> Result<Prepared, CommandError> {
+    let _bar = progress.step(format!("preparing {}", path.display()));
+    prepare(path, &packing.options()).map_err(CommandError::failed)
+}
+
+/// Where a frame is rendered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Crew {
+    /// Local worker processes; 0: in this process.
+    pub workers: u32,
+    /// Threads that each renders with; `None`: the machine's cores shared out evenly.
+    pub threads: Option<u32>,
+}
+
+/// A frame, and the time that starting the workers took.
+pub struct Rendered {
+    /// The frame.
+    pub frame: FrameResult,
+    /// From the first process started to the last worker joined.
+    pub start: Duration,
+}
+
+/// Renders one frame of `pack`. Ctrl-C ends it, and the workers with it.
+pub fn render_frame(
+    pack: &Pack,
+    job: &FrameJob,
+    crew: Crew,
+    progress: &Progress,
+) -> Result<Rendered, CommandError> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .map_err(|e| CommandError::Failed(format!("cannot start the network threads: {e}")))?;
+    let result = runtime.block_on(async {
+        tokio::select! {
+            result = frame(pack, job, crew, progress) => result,
+            pressed = tokio::signal::ctrl_c() => match pressed {
+                Ok(()) => Err(CommandError::Interrupted),
+                Err(e) => Err(CommandError::Failed(format!("cannot listen for Ctrl-C: {e}"))),
+            },
+        }
+    });
+    // An in-process worker may still be in the middle of a tile that nobody waits for.
+    runtime.shutdown_background();
+    result
+}
+
+async fn frame(
+    pack: &Pack,
+    job: &FrameJob,
+    crew: Crew,
+    progress: &Progress,
+) -> Result<Rendered, CommandError> {
+    let begin = Instant::now();
+    let config = ClusterConfig { numeric_class: Some(NUMERIC_CLASS.to_owned()) };
+    let mut cluster = {
+        let _bar = progress.step("starting workers");
+        Cluster::start(workers(crew)?, config).await.map_err(CommandError::failed)?
+    };
+    let start = begin.elapsed();
+    {
+        let bar = progress.bytes("sending the scene");
+        cluster.load(pack, |event| show(&bar, &event)).await.map_err(CommandError::failed)?;
+    }
+    let frame = {
+        let bar = progress.parts("rendering tiles");
+        cluster.render(job, |event| show(&bar, &event)).await.map_err(CommandError::failed)?
+    };
+    cluster.stop().await;
+    Ok(Rendered { frame, start })
+}
+
+fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
+    match *event {
+        tessera_master::Progress::Sent { bytes, total } => bar.set(bytes, total),
+        tessera_master::Progress::Tiles { done, total } => bar.set(done.into(), total.into()),
+        tessera_master::Progress::WorkerLost { name, reason } => {
+            tracing::warn!("lost {name}: {reason}; the other workers go on");
+        }
+    }
+}
+
+fn workers(crew: Crew) -> Result<Workers, CommandError> {
+    if crew.workers == 0 {
+        return Ok(Workers::Links(vec![worker_here(crew.threads.unwrap_or_else(cores))]));
+    }
+    let program = std::env::current_exe()
+        .map_err(|e| CommandError::Failed(format!("cannot find this program to start workers with: {e}")))?;
+    Ok(Workers::Local(LocalWorkers {
+        program,
+        args: vec!["worker".into()],
+        count: crew.workers,
+        threads: crew.threads,
+    }))
+}
+
+/// A worker within this process: the same code as in a process of its own, behind in-memory pipes.
+fn worker_here(threads: u32) -> Link {
+    let (link, pipes) = Link::in_memory();
+    let Pipes { control_in, control_out, bulk_in, bulk_out } = pipes;
+    let pipes = WorkerPipes { control_in, control_out, bulk_in, bulk_out };
+    let config = WorkerConfig { name: "this process".into(), threads, memory: None };
+    tokio::spawn(async move {
+        if let Err(error) = tessera_worker::serve(pipes, config).await {
+            tracing::debug!("the worker in this process ended: {error}");
+        }
+    });
+    link
+}
+
+fn cores() -> u32 {
+    std::thread::available_parallelism().map_or(1, |n| u32::try_from(n.get()).unwrap_or(u32::MAX))
+}
