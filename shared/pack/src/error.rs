@@ -47,6 +47,9 @@ pub enum BuildError {
     /// The input is at fault; the message says what, where and what to do.
     #[error("{0}")]
     Input(String),
+    /// The pack did not pass its own check: a fault of this program, not of the input.
+    #[error("the pack that was made is not sound; please report this: {0}")]
+    Unsound(PackError),
     /// The memory cannot be had.
     #[error("{0} bytes of memory for the pack could not be had")]
     OutOfMemory(u64),

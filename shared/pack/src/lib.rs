@@ -10,8 +10,10 @@ pub mod color;
 pub mod error;
 pub mod format;
 pub mod input;
+mod mesh;
 pub mod records;
 mod rules;
+mod sections;
 mod validate;
 pub mod view;
 

@@ -49,15 +49,11 @@ impl NormalTable {
     }
 
     /// Code of the entry nearest to `normal` (any length); of equally near ones the smallest. [`NO_NORMAL`] when `normal` has
-    /// no direction: zero, NaN or infinite.
+    /// no [`direction`].
     pub fn encode(&self, normal: [f32; 3]) -> u16 {
-        let [x, y, z] = normal.map(f64::from);
-        // f64 holds the squares of every f32: no overflow, and zero only for a zero vector.
-        let length = (x * x + y * y + z * z).sqrt();
-        if !(length > 0.0 && length.is_finite()) {
+        let Some([x, y, z]) = direction(normal) else {
             return NO_NORMAL;
-        }
-        let [x, y, z] = [x / length, y / length, z / length];
+        };
         // atan2 instead of acos(z): acos loses accuracy at the poles.
         let polar = libm::atan2((x * x + y * y).sqrt(), z);
         let azimuth = libm::atan2(y, x);
@@ -108,6 +104,14 @@ impl NormalTable {
         }
         Self { entries, first }
     }
+}
+
+/// The unit vector along `normal`; `None` when it has no direction: zero, NaN or infinite.
+pub fn direction(normal: [f32; 3]) -> Option<[f64; 3]> {
+    let n = normal.map(f64::from);
+    // f64 holds the squares of every f32: no overflow, and zero only for a zero vector.
+    let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+    (length > 0.0 && length.is_finite()).then(|| n.map(|c| c / length))
 }
 
 /// Entries of a ring: as few as keep the corner of a cell (half a ring step towards the equator, half an azimuth step aside)

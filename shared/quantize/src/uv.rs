@@ -44,6 +44,8 @@ pub enum PackedUv {
     Units([u16; 2]),
     /// As they are, in the side table.
     Side,
+    /// Not at all: no texture reads them.
+    Unread,
 }
 
 /// The packed vertices: copies of the input's, in its order, and without those that no triangle uses.
@@ -192,7 +194,7 @@ fn both(a: [Shifts; 2], b: [Shifts; 2]) -> Option<[Shifts; 2]> {
 const NONE: u32 = u32::MAX;
 /// In place of a parent: the vertex keeps its coordinates in the side table.
 const SIDE: u32 = u32::MAX - 1;
-/// Any shift at all.
+/// Any shift at all: no texture has asked for anything.
 const UNBOUND: [Shifts; 2] = [Shifts { low: i32::MIN / 2, high: i32::MAX / 2, even: false }; 2];
 
 /// The packed vertices while they are being made: copies of input vertices, and a union-find forest over them whose trees are
@@ -321,14 +323,12 @@ impl Variants {
                     PackedUv::Side
                 } else {
                     let root = self.root(copy);
-                    let shifts = self.shifts[root as usize];
-                    PackedUv::Units([0, 1].map(|k| {
-                        // A copy that no texture reads is not bound to a range: its own whole part then.
-                        let value = f64::from(uv[k]);
-                        let shift =
-                            if shifts == UNBOUND { value.floor() } else { f64::from(shifts[k].choice()) };
-                        pack(value - shift)
-                    }))
+                    match self.shifts[root as usize] {
+                        UNBOUND => PackedUv::Unread,
+                        shifts => PackedUv::Units(
+                            [0, 1].map(|k| pack(f64::from(uv[k]) - f64::from(shifts[k].choice()))),
+                        ),
+                    }
                 };
                 plan.uv.push(packed);
                 copies += 1;
