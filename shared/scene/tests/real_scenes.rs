@@ -61,7 +61,7 @@ fn sponza() {
     assert_eq!(size, [372.1, 155.6, 228.8]);
     let alpha = scene.materials.iter().filter(|material| material.alpha != tessera_scene::AlphaMode::Opaque);
     let alpha: Vec<&str> = alpha.map(|material| material.name.as_str()).collect();
-    assert_eq!(alpha, ["leaf", "Material__57"]);
+    assert_eq!(alpha, ["Material__57", "leaf"]);
     assert!(scene.materials.iter().all(|material| material.double_sided));
     assert!(selection.uvs && selection.normals && !selection.colors);
 }

@@ -2,6 +2,7 @@
 
 mod gltf;
 pub mod limits;
+mod obj;
 mod ply;
 mod report;
 mod resolve;
@@ -21,6 +22,7 @@ pub fn import(path: &Path) -> Result<Scene, SceneError> {
     let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
     let scene = match extension.as_deref() {
         Some("gltf" | "glb") => gltf::import(path)?,
+        Some("obj") => obj::import(path)?,
         Some("ply") => ply::import(path)?,
         _ => return Err(SceneError::UnknownFormat { path: path.to_owned() }),
     };

@@ -16,6 +16,7 @@
 use super::limits::{DOCUMENT_TRIANGLES_MAX, DOCUMENT_VERTICES_MAX, POLYGON_CORNERS_MAX};
 use super::report::{Report, shown};
 use super::resolve::read_source;
+use super::texels::code;
 use crate::{Material, Mesh, Node, Primitive, Scene, SceneError};
 use glam::{DMat4, DVec3};
 use std::path::Path;
@@ -359,14 +360,16 @@ fn read_vertices(body: &mut Body<'_>, element: &Element, primitive: &mut Primiti
     primitive.normals.reserve_exact(if normals { count } else { 0 });
     primitive.uvs.reserve_exact(if uvs { count } else { 0 });
     primitive.colors.reserve_exact(if colors { count } else { 0 });
+    let kind =
+        |at| places.iter().position(|place| *place == Some(at)).map(|found| element.properties[found].number);
+    let kinds = [0, 1, 2, 3].map(|lane| kind(COLOR + lane).unwrap_or(Number::U8));
     let mut value = [0.0; PLACES];
+    // Opaque where the file has no alpha.
     value[ALPHA] = 255.0;
     for vertex in 0..count {
         for (property, place) in element.properties.iter().zip(&places) {
             let result = match *place {
-                Some(at) => body.number(property.number).map(|number| {
-                    value[at] = if at >= COLOR { color_code(number, property.number) } else { number };
-                }),
+                Some(at) => body.number(property.number).map(|number| value[at] = number),
                 None => body.skip(property),
             };
             result.map_err(|what| format!("vertex {vertex}: {what}"))?;
@@ -383,22 +386,19 @@ fn read_vertices(body: &mut Body<'_>, element: &Element, primitive: &mut Primiti
             primitive.uvs.push([value[UV] as f32, (1.0 - value[UV + 1]) as f32]);
         }
         if colors {
-            let code = |at: usize| value[at] as u8;
-            primitive.colors.push([code(COLOR), code(COLOR + 1), code(COLOR + 2), code(ALPHA)]);
+            primitive.colors.push([0, 1, 2, 3].map(|lane| color_code(value[COLOR + lane], kinds[lane])));
         }
     }
     Ok(())
 }
 
 /// A colour component as an 8-bit code: floats are in [0, 1], 16-bit numbers in [0, 65535], others are codes already.
-fn color_code(value: f64, kind: Number) -> f64 {
-    let code = match kind {
-        Number::F32 | Number::F64 => value * 255.0,
-        Number::I16 | Number::U16 => value / 257.0,
-        _ => value,
-    };
-    // `max` takes NaN to 0.
-    libm::floor(code.max(0.0).min(255.0) + 0.5)
+fn color_code(value: f64, kind: Number) -> u8 {
+    code(match kind {
+        Number::F32 | Number::F64 => value,
+        Number::I16 | Number::U16 => value / 65_535.0,
+        _ => value / 255.0,
+    })
 }
 
 fn read_faces(

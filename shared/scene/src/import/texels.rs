@@ -50,6 +50,11 @@ impl TexelReader {
     }
 }
 
+/// A number in [0, 1] as the nearest 8-bit code; `as` cuts what lies outside to the ends, and NaN to 0.
+pub(crate) fn code(unit: f64) -> u8 {
+    (unit * 255.0 + 0.5) as u8
+}
+
 /// Names what the bytes are, where that helps.
 fn foreign_format(bytes: &[u8]) -> &'static str {
     match bytes {
@@ -90,6 +95,12 @@ mod tests {
                 |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 },
             )
         })
+    }
+
+    #[test]
+    fn codes_are_nearest_and_never_wrap() {
+        let units = [0.0, 0.5, 1.0, 254.4 / 255.0, -3.0, 7.0, f64::NAN, f64::INFINITY];
+        assert_eq!(units.map(code), [0, 128, 255, 254, 0, 255, 0, 255]);
     }
 
     #[test]

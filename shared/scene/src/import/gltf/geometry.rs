@@ -8,6 +8,7 @@ use super::material::UvSource;
 use super::{checked, name_or};
 use crate::import::limits::{DOCUMENT_TRIANGLES_MAX, DOCUMENT_VERTICES_MAX};
 use crate::import::report::{Report, shown};
+use crate::import::texels::code;
 use crate::{Mesh, Primitive};
 use glam::DVec3;
 use std::sync::LazyLock;
@@ -201,9 +202,8 @@ fn assemble(corners: &[u32], mode: Mode) -> Result<Vec<[u32; 3]>, String> {
 
 /// A linear colour and alpha as sRGB codes and linear alpha; outside [0, 1] is clamped, NaN is 0.
 fn color_code(color: [f32; 4]) -> [u8; 4] {
-    let alpha = libm::floorf(color[3].max(0.0).min(1.0) * 255.0 + 0.5) as u8;
     let [r, g, b] = [color[0], color[1], color[2]].map(srgb_code);
-    [r, g, b, alpha]
+    [r, g, b, code(f64::from(color[3]))]
 }
 
 /// The sRGB code nearest to a linear value: the number of thresholds, halfway between codes, that it reaches.
