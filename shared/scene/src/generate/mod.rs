@@ -15,9 +15,11 @@
 mod arches;
 mod assembly;
 mod cornell;
+mod fittings;
 mod furnishing;
 mod hall;
 mod rng;
+mod rooms;
 mod row;
 mod shapes;
 mod textures;
@@ -36,17 +38,20 @@ pub enum Kind {
     Cornell,
     /// The demo's hall.
     Hall,
+    /// Storeys of rooms.
+    Rooms,
 }
 
 impl Kind {
     /// All of them.
-    pub const ALL: [Self; 2] = [Self::Cornell, Self::Hall];
+    pub const ALL: [Self; 3] = [Self::Cornell, Self::Hall, Self::Rooms];
 
     /// Its name in scene files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Cornell => "cornell",
             Self::Hall => "hall",
+            Self::Rooms => "rooms",
         }
     }
 }
@@ -89,6 +94,7 @@ pub fn generate(recipe: &Recipe) -> Result<Scene, OutOfRange> {
     let (mut scene, model) = match recipe.kind {
         Kind::Cornell => (cornell::generate(recipe), None::<row::Reference>),
         Kind::Hall => (hall::generate(recipe), None),
+        Kind::Rooms => (rooms::generate(recipe), Some(row::Reference::SODA_HALL)),
     };
     scene.notes.push(format!(
         "generated: kind {}, seed {}, {} triangles asked for",
