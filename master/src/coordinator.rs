@@ -353,8 +353,10 @@ impl Active {
         if pixels.len() as u64 != expected {
             return Err(format!("tile {} has {} bytes instead of {expected}", entry.tile.0, pixels.len()));
         }
-        let first =
-            self.dispatch.accept(worker, entry.tile, entry.attempt).map_err(|violation| violation.to_string())?;
+        let first = self
+            .dispatch
+            .accept(worker, entry.tile, entry.attempt)
+            .map_err(|violation| violation.to_string())?;
         let report = self.reports.iter_mut().find(|(w, _)| *w == worker).map(|(_, report)| report);
         if let Some(report) = report {
             report.bytes_returned += wire_bytes;

@@ -229,10 +229,7 @@ mod tests {
     fn joined() -> Session {
         let mut s = Session::new(WorkerId(3), NOW);
         let welcome = ToWorker::Welcome { version: 1, worker: WorkerId(3) };
-        assert_eq!(
-            s.message(ToMaster::Hello(hello()), Some("cpu-1")),
-            [Step::Send(welcome), Step::Joined]
-        );
+        assert_eq!(s.message(ToMaster::Hello(hello()), Some("cpu-1")), [Step::Send(welcome), Step::Joined]);
         s
     }
 
@@ -249,10 +246,7 @@ mod tests {
     fn a_worker_joins_takes_a_pack_and_renders() {
         let mut s = joined();
         assert_eq!(s.offer(PACK, 10, NOW), [Step::Send(ToWorker::PackOffer { pack: PACK, length: 10 })]);
-        assert_eq!(
-            s.message(ToMaster::PackNeed { pack: PACK, have: false }, None),
-            [Step::SendPack(PACK)]
-        );
+        assert_eq!(s.message(ToMaster::PackNeed { pack: PACK, have: false }, None), [Step::SendPack(PACK)]);
         assert!(!s.holds(PACK));
         assert_eq!(s.message(ToMaster::PackReady { pack: PACK }, None), [Step::PackHeld]);
         assert!(s.holds(PACK));

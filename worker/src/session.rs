@@ -460,14 +460,8 @@ mod tests {
     fn check_aborted(s: &mut Session, code: AbortCode) {
         let all = actions(s);
         let (over, abort) = (all.last(), &all[all.len() - 2]);
-        assert!(
-            matches!(over, Some(Action::Over(Ending::Aborted { code: c, .. })) if *c == code),
-            "{all:?}"
-        );
-        assert!(
-            matches!(abort, Action::Send(ToMaster::Abort { code: c, .. }) if *c == code),
-            "{all:?}"
-        );
+        assert!(matches!(over, Some(Action::Over(Ending::Aborted { code: c, .. })) if *c == code), "{all:?}");
+        assert!(matches!(abort, Action::Send(ToMaster::Abort { code: c, .. }) if *c == code), "{all:?}");
         s.message(ToWorker::Dismiss);
         s.leave();
         assert_eq!(actions(s), []);

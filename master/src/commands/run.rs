@@ -28,6 +28,24 @@ impl PackingArgs {
         options
     }
 
+    /// A bundle is used as it is: what it holds cannot be asked for any more.
+    fn check(&self, path: &Path) -> Result<(), CommandError> {
+        let is_bundle = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tpack"));
+        let textures = self.without.contains(&args::Feature::Textures);
+        let asked = [
+            (!self.plain.is_empty(), "--plain"),
+            (self.refs.is_some(), "--refs"),
+            (textures, "--without textures"),
+        ];
+        match asked.into_iter().find(|(asked, _)| is_bundle && *asked) {
+            Some((_, flag)) => Err(CommandError::Usage(format!(
+                "{}: a bundle is used as it is, {flag} has no effect on it; pack the scene again with it",
+                path.display()
+            ))),
+            None => Ok(()),
+        }
+    }
+
     /// Features to leave out.
     pub fn without(&self) -> Without {
         let without = |feature| self.without.contains(&feature);
@@ -46,6 +64,7 @@ pub fn prepare_scene(
     packing: &PackingArgs,
     progress: &Progress,
 ) -> Result<Prepared, CommandError> {
+    packing.check(path)?;
     let _bar = progress.step(format!("preparing {}", path.display()));
     prepare(path, &packing.options()).map_err(CommandError::failed)
 }

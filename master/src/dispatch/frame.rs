@@ -212,8 +212,7 @@ impl Dispatch {
             tile.holder = Some(worker);
             *self.queued.entry(worker).or_default() += 1;
         }
-        let assignment =
-            |((worker, attempt), tiles)| Assignment { worker, attempt: Attempt(attempt), tiles };
+        let assignment = |((worker, attempt), tiles)| Assignment { worker, attempt: Attempt(attempt), tiles };
         joined.into_iter().map(assignment).collect()
     }
 }

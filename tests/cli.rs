@@ -1,0 +1,260 @@
+//! The command line: help, exit codes, JSON, and bad input that ends in one clear line.
+
+use crate::support::{Folder, PLY, Tessera};
+use std::fs;
+
+#[test]
+fn help_is_a_manual() {
+    let commands: [&[&str]; 6] =
+        [&[], &["demo"], &["render"], &["scene", "info"], &["scene", "pack"], &["compare"]];
+    for command in commands {
+        let help = Tessera::new(command).args(["--help"]).run().ok();
+        assert!(help.contains("Usage:") && help.contains("Examples:"), "{command:?}: {help}");
+        assert!(!help.contains("\n  worker "), "`tessera worker` is not for people: {help}");
+    }
+    let version = Tessera::new(["--version"]).run().ok();
+    assert_eq!(version, format!("tessera {}\n", env!("CARGO_PKG_VERSION")));
+}
+
+#[test]
+fn wrong_usage_is_exit_code_2_and_one_line() {
+    let folder = Folder::new();
+    folder.write("a.ply", PLY);
+    let check = |args: &[&str], says: &[&str]| {
+        Tessera::new(args).within(folder.path()).run().fails(2, says);
+        assert_eq!(folder.names(), ["a.ply"], "{args:?} left something behind");
+    };
+    check(&["fly"], &["unrecognized subcommand 'fly'"]);
+    check(&["render"], &["required arguments", "--out <FILE>", "<SCENE>"]);
+    let render = |args: &[&'static str]| [&["render", "a.ply", "--out", "a.png"], args].concat();
+    check(&render(&["--wings"]), &["unexpected argument '--wings'"]);
+    check(&render(&["--size", "1024"]), &["--size", "WIDTHxHEIGHT"]);
+    check(&render(&["--size", "0x5"]), &["WIDTHxHEIGHT"]);
+    check(&render(&["--size", "65536x65536"]), &["65536 x 65536"]);
+    check(&render(&["--tile", "0"]), &["--tile"]);
+    check(&render(&["--tile", "1", "--size", "2000x2000"]), &["tiles", "choose larger tiles"]);
+    check(&render(&["--spp", "0"]), &["--spp"]);
+    check(&render(&["--depth", "33"]), &["--depth"]);
+    check(&render(&["--bits", "12"]), &["--bits"]);
+    check(&render(&["--refs", "3"]), &["--refs"]);
+    check(&render(&["--workers", "257"]), &["--workers"]);
+    check(&render(&["--balance", "fair"]), &["--balance", "paper-static, static, paper-dynamic, dynamic"]);
+    check(&render(&["--without", "colour"]), &["--without", "textures, shadows, reflection, refraction"]);
+    check(&render(&["--plain=colour"]), &["--plain", "positions, normals, uv"]);
+    check(&render(&["--eye", "0,0,5"]), &["--target", "--fov"]);
+    check(&render(&["--eye", "0,0", "--target", "0,0,0", "--fov", "60"]), &["--eye", "three finite numbers"]);
+    check(&render(&["--eye", "0,0,5", "--target", "0,0,0", "--fov", "180"]), &["--fov", "less than 180"]);
+    check(&render(&["--camera", "a", "--eye", "0,0,5", "--target", "0,0,0", "--fov", "9"]), &["--camera"]);
+    check(&render(&["--eye", "1,1,1", "--target", "1,1,1", "--fov", "60"]), &["camera"]);
+    check(&render(&["--eye", "0,5,0", "--target", "0,0,0", "--fov", "60"]), &["camera", "up"]);
+    check(&render(&["--camera", "north"]), &["no camera `north`", "default"]);
+    check(&["render", "a.ply", "--out", "a.jpg"], &["a.jpg", ".png or .exr"]);
+    check(&["scene", "pack", "a.ply", "--out", "a.zip"], &["a.zip", ".tpack"]);
+}
+
+#[test]
+fn bad_input_is_exit_code_1_and_one_line_and_no_file() {
+    let folder = Folder::new();
+    let none = PLY.replace("face 2", "face 0").replace("3 0 1 2\n3 0 3 4\n", "");
+    let nan = PLY.replace("-1 -1 0\n1 -1 0\n", "nan nan nan\nnan nan nan\n");
+    folder.write("none.ply", none);
+    folder.write("nan.ply", nan);
+    folder.write("cut.ply", &PLY[..PLY.len() - 12]);
+    folder.write("text.ply", "hello");
+    folder.write("text.glb", "hello");
+    folder.write("text.gltf", "{");
+    folder.write("empty.obj", "# nothing\n");
+    folder.write("empty.ply", "");
+    folder.write("text.tpack", "hello");
+    folder.write("scene.toml", "source = \"gone.ply\"\n");
+    folder.write("picture.jpg", "hello");
+    folder.write("good.ply", PLY);
+    fs::create_dir(folder.file("folder.ply")).unwrap();
+    let before = folder.names();
+    let check = |scene: &str, says: &[&str]| {
+        for command in [
+            &["render", scene, "--out", "out.png", "--size", "8x8", "--report", "report.json"][..],
+            &["render", scene, "--out", "out.exr", "--size", "8x8", "--workers", "1"],
+            &["scene", "info", scene],
+            &["scene", "pack", scene, "--out", "out.tpack"],
+        ] {
+            Tessera::new(command).within(folder.path()).run().fails(1, &[&[scene], says].concat());
+            assert_eq!(folder.names(), before, "{command:?} left something behind");
+        }
+    };
+    check("gone.ply", &["cannot read", "No such file"]);
+    check("folder.ply", &["is a folder"]);
+    check("none.ply", &["no triangles"]);
+    check("nan.ply", &["no triangle"]);
+    check("cut.ply", &[]);
+    check("text.ply", &[]);
+    check("text.glb", &[]);
+    check("text.gltf", &[]);
+    check("empty.obj", &["no triangles"]);
+    check("empty.ply", &[]);
+    check("text.tpack", &["not a pack"]);
+    check("scene.toml", &["gone.ply"]);
+    check("picture.jpg", &["unknown scene format", ".glb, .gltf, .obj, .ply"]);
+
+    let render = |out: &str, says: &[&str]| {
+        Tessera::new(["render", "good.ply", "--out", out, "--size", "8x8"])
+            .within(folder.path())
+            .run()
+            .fails(1, says);
+        assert_eq!(folder.names(), before);
+    };
+    render("no/such/folder/a.png", &["no/such/folder", "does not exist", "create it first"]);
+    render("good.ply/a.png", &["good.ply"]);
+    fs::create_dir(folder.file("folder.png")).unwrap();
+    Tessera::new(["render", "good.ply", "--out", "folder.png"])
+        .within(folder.path())
+        .run()
+        .fails(1, &["folder.png", "is a folder"]);
+}
+
+#[test]
+fn a_bundle_that_was_touched_is_refused() {
+    let folder = Folder::new();
+    folder.write("a.ply", PLY);
+    Tessera::new(["scene", "pack", "a.ply", "--out", "a.tpack"]).within(folder.path()).run().ok();
+    let bytes = fs::read(folder.file("a.tpack")).unwrap();
+    let check = |bytes: &[u8], says: &[&str]| {
+        folder.write("b.tpack", bytes);
+        Tessera::new(["render", "b.tpack", "--out", "b.png", "--size", "8x8"])
+            .within(folder.path())
+            .run()
+            .fails(1, &[&["b.tpack"], says].concat());
+    };
+    check(&bytes[..bytes.len() - 1], &["truncated"]);
+    check(&bytes[..40], &["truncated"]);
+    let mut flipped = bytes.clone();
+    *flipped.last_mut().unwrap() ^= 1;
+    check(&flipped, &["damaged"]);
+    for flags in [&["--refs", "1"][..], &["--plain"], &["--without", "textures"]] {
+        Tessera::new(["render", "a.tpack", "--out", "b.png"])
+            .args(flags)
+            .within(folder.path())
+            .run()
+            .fails(2, &["a.tpack", flags[0], "pack the scene again"]);
+    }
+}
+
+#[test]
+fn reports_are_one_json_object_with_the_promised_keys() {
+    let folder = Folder::new();
+    folder.write("a.ply", PLY);
+    let has = |value: &serde_json::Value, keys: &[&str]| {
+        for key in keys {
+            let found = key.split('.').try_fold(value, |value, key| value.get(key));
+            assert!(found.is_some(), "{key} is missing in {value}");
+        }
+    };
+    let render = Tessera::new(["render", "a.ply", "--out", "a.png", "--size", "20x10", "--json"])
+        .args(["--report", "report.json"])
+        .within(folder.path())
+        .run()
+        .json();
+    has(
+        &render,
+        &[
+            "image_hash",
+            "pack_id",
+            "numeric_class",
+            "size",
+            "tile",
+            "balance",
+            "spp",
+            "workers",
+            "ms.pack",
+            "ms.send_scene",
+            "ms.render",
+            "ms.return",
+            "ms.frame",
+            "bytes_on_wire",
+            "rays.primary",
+            "rays.shadow",
+            "rays.reflection",
+            "rays.refraction",
+        ],
+    );
+    has(&render["workers"][0], &["name", "tiles", "render_ms", "bytes_returned"]);
+    assert_eq!(render["size"], serde_json::json!([20, 10]));
+    assert_eq!(render["rays"]["primary"], 200);
+    assert_eq!(render["balance"], "dynamic");
+    let report: serde_json::Value =
+        serde_json::from_slice(&fs::read(folder.file("report.json")).unwrap()).unwrap();
+    assert_eq!(report, render);
+
+    let info = Tessera::new(["scene", "info", "a.ply", "--json"]).within(folder.path()).run().json();
+    has(
+        &info,
+        &[
+            "triangles",
+            "vertices",
+            "materials",
+            "textures",
+            "dropped",
+            "left_out",
+            "grid.nx",
+            "grid.ny",
+            "grid.nz",
+            "grid.cells",
+            "grid.step",
+            "nodes.inner0",
+            "nodes.inner1",
+            "nodes.inner2",
+            "nodes.leaves",
+            "nodes.leaf_refs",
+            "bytes.mesh_plain",
+            "bytes.mesh_packed",
+            "bytes.tables",
+            "bytes.textures",
+            "bytes.tree_standard",
+            "bytes.tree_one_ref",
+            "bytes.tree_two_refs",
+        ],
+    );
+    assert_eq!((&info["triangles"], &info["vertices"]), (&2.into(), &5.into()));
+
+    Tessera::new(["render", "a.ply", "--out", "b.png", "--size", "20x10", "--without", "shadows"])
+        .within(folder.path())
+        .run()
+        .ok();
+    let compare = |a, b| Tessera::new(["compare", a, b, "--json"]).within(folder.path()).run().json();
+    let same = compare("a.png", "a.png");
+    has(&same, &["mse", "psnr_db", "ssim", "max_abs", "differing_share"]);
+    assert_eq!((&same["mse"], &same["psnr_db"]), (&0.0.into(), &serde_json::Value::Null));
+}
+
+#[test]
+fn the_hash_is_of_the_pixels_in_the_file() {
+    let folder = Folder::new();
+    folder.write("a.ply", PLY);
+    let render = |out: &str, more: &[&str]| {
+        Tessera::new(["render", "a.ply", "--out", out, "--size", "33x21", "--json"])
+            .args(more)
+            .within(folder.path())
+            .run()
+            .json()["image_hash"]
+            .as_str()
+            .unwrap()
+            .to_owned()
+    };
+    let hash = |format: &str, rows: &[u8]| {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(format.as_bytes());
+        hasher.update(&33_u32.to_le_bytes()).update(&21_u32.to_le_bytes()).update(rows);
+        hasher.finalize().to_hex().to_string()
+    };
+    let eight = render("a.png", &[]);
+    let picture = image::open(folder.file("a.png")).unwrap();
+    let pixels = picture.as_rgba8().unwrap();
+    assert_eq!(eight, hash("rgba8", pixels.as_raw()));
+    assert!(pixels.pixels().any(|p| p.0[3] == 255), "the triangles are in the picture");
+    assert!(pixels.pixels().any(|p| p.0[3] == 0), "and what they do not cover is transparent");
+
+    let sixteen = render("b.png", &["--bits", "16"]);
+    let picture = image::open(folder.file("b.png")).unwrap();
+    let rows: Vec<u8> = picture.as_rgba16().unwrap().as_raw().iter().flat_map(|v| v.to_le_bytes()).collect();
+    assert_eq!(sixteen, hash("rgba16", &rows));
+}

@@ -1,0 +1,5 @@
+//! Promises that are kept by the whole: the built binary, the workspace's own rules.
+
+mod cli;
+mod support;
+mod tidy;

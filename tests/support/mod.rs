@@ -1,0 +1,178 @@
+//! Running the built binary: bounded in time, never left behind.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc;
+use std::time::Duration;
+
+/// No run in these tests takes a tenth of it on a slow machine; what takes longer hangs.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A run of `tessera` to be.
+pub struct Tessera(Command);
+
+impl Tessera {
+    /// With these arguments, in a clean environment as far as it matters to the program.
+    pub fn new<S: AsRef<OsStr>>(args: impl IntoIterator<Item = S>) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_tessera"));
+        command.args(args).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command.env_remove("RUST_LOG").env_remove("TESSERA_SCENES").env_remove("NO_COLOR");
+        Self(command)
+    }
+
+    /// In this folder.
+    pub fn within(mut self, folder: &Path) -> Self {
+        self.0.current_dir(folder);
+        self
+    }
+
+    /// With more arguments.
+    pub fn args<S: AsRef<OsStr>>(mut self, args: impl IntoIterator<Item = S>) -> Self {
+        self.0.args(args);
+        self
+    }
+
+    /// With this variable.
+    pub fn env(mut self, name: &str, value: impl AsRef<OsStr>) -> Self {
+        self.0.env(name, value);
+        self
+    }
+
+    /// Runs it to its end.
+    pub fn run(mut self) -> Outcome {
+        let mut child = Running(self.0.spawn().expect("the binary starts"));
+        let (out, err) = (child.0.stdout.take().expect("piped"), child.0.stderr.take().expect("piped"));
+        let (stdout, stderr) = (reader(out), reader(err));
+        let read = |from: mpsc::Receiver<String>| {
+            from.recv_timeout(PATIENCE).unwrap_or_else(|_| panic!("{:?} hangs", self.0))
+        };
+        let (stdout, stderr) = (read(stdout), read(stderr));
+        let status = child.0.wait().expect("a child can be waited for");
+        Outcome { code: status.code(), stdout, stderr }
+    }
+}
+
+/// A child that does not outlive its test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Both fail when it has ended already, as it should have.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn reader(mut from: impl Read + Send + 'static) -> mpsc::Receiver<String> {
+    let (sender, receiver) = mpsc::channel();
+    std::thread::spawn(move || {
+        let mut bytes = Vec::new();
+        let read = from.read_to_end(&mut bytes);
+        let text = read.map(|_| String::from_utf8_lossy(&bytes).into_owned());
+        // Nobody listens any more when the test has failed meanwhile.
+        let _ = sender.send(text.unwrap_or_default());
+    });
+    receiver
+}
+
+/// What a run left.
+#[derive(Debug)]
+pub struct Outcome {
+    pub code: Option<i32>,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+impl Outcome {
+    /// It succeeded: returns what it printed.
+    #[track_caller]
+    pub fn ok(self) -> String {
+        assert_eq!(self.code, Some(0), "{self:?}");
+        self.stdout
+    }
+
+    /// It succeeded and printed one JSON object, and nothing else.
+    #[track_caller]
+    pub fn json(self) -> serde_json::Value {
+        assert_eq!(self.stderr, "", "no terminal, no progress");
+        let text = self.ok();
+        let value: serde_json::Value = serde_json::from_str(&text).expect("one JSON value");
+        assert!(value.is_object(), "{text}");
+        value
+    }
+
+    /// It failed with this exit code and one line that says each of `says`.
+    #[track_caller]
+    pub fn fails(self, code: i32, says: &[&str]) {
+        assert_eq!(self.code, Some(code), "{self:?}");
+        assert_eq!(self.stdout, "", "{self:?}");
+        assert_eq!(self.stderr.lines().count(), 1, "{self:?}");
+        assert!(self.stderr.starts_with("tessera: error: "), "{self:?}");
+        for part in says {
+            assert!(self.stderr.contains(part), "{part:?} is not in {self:?}");
+        }
+    }
+}
+
+/// A folder of its own for a test.
+pub struct Folder(tempfile::TempDir);
+
+impl Folder {
+    pub fn new() -> Self {
+        Self(tempfile::tempdir().expect("a temporary folder"))
+    }
+
+    pub fn path(&self) -> &Path {
+        self.0.path()
+    }
+
+    /// The path of a file in it.
+    pub fn file(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// Writes a file into it.
+    pub fn write(&self, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
+        let path = self.file(name);
+        fs::write(&path, content).expect("a temporary file");
+        path
+    }
+
+    /// Names of what is in it.
+    pub fn names(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.path()).expect("a temporary folder");
+        let mut names: Vec<_> = entries
+            .map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names
+    }
+}
+
+/// The repository's root.
+pub fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Two triangles that face +z, one of them higher.
+pub const PLY: &str = "\
+ply
+format ascii 1.0
+element vertex 5
+property float x
+property float y
+property float z
+element face 2
+property list uchar int vertex_indices
+end_header
+-1 -1 0
+1 -1 0
+0 1 0.5
+1 1 0
+0.5 0 1
+3 0 1 2
+3 0 3 4
+";
