@@ -7,5 +7,6 @@ pub mod node;
 pub mod traverse;
 pub mod validate;
 
-pub use build::{BuildOptions, Tree, build};
-pub use traverse::{TreeView, Triangles};
+pub use build::{BuildError, BuildOptions, Tree, TreeStats, build};
+pub use traverse::{TreeView, Triangles, brute_force_closest};
+pub use validate::{TreeError, validate};

@@ -1,5 +1,16 @@
-//! Closest-hit and any-hit traversal.
+//! Closest-hit and any-hit traversal, and the exhaustive search that both must agree with.
+//!
+//! A traversal never uses a cell's interval to reject a hit, only to order cells and to stop; so rounding in a plane
+//! distance can cost a visit, not a hit. References of an inner node are tested on the way down, before its children.
+//!
+//! **Why it finds what an exhaustive search finds.** The triangle test accepts triangles that the ray misses by a rounding error
+//! ([`tessera_geometry::triangle`]); a ray that grazes a cell by less would miss what only that cell lists. So the ray is
+//! taken as thick as that error: planes within [`THICKNESS`] of it count as crossed. The point that an accepted hit reports
+//! then lies in a cell that is visited, over an interval that holds its `t`.
 
+use crate::node::{MAX_DEPTH, Node, Slot};
+use tessera_geometry::rounding::gamma;
+use tessera_geometry::triangle::{LATERAL_ERROR, RayShear, intersect};
 use tessera_geometry::{Aabb, Hit, Ray, Vec3};
 
 /// The triangles that a tree refers to.
@@ -8,33 +19,214 @@ pub trait Triangles {
     fn vertices(&self, id: u32) -> [Vec3; 3];
 }
 
-/// A validated tree, borrowed from wherever its bytes lie.
+/// A validated tree ([`crate::validate::validate`]), borrowed from wherever its bytes lie.
 #[derive(Clone, Copy, Debug)]
 pub struct TreeView<'a> {
     /// Root box.
     pub bounds: Aabb,
-    /// Slots.
-    pub slots: &'a [[u32; 2]],
+    /// Slots; see [`crate::node`].
+    pub slots: &'a [Slot],
     /// Leaf lists.
     pub list: &'a [u32],
 }
 
 impl TreeView<'_> {
     /// The nearest hit for which `accept` is true; of equally near ones the smallest triangle id.
-    /// `accept` may be called more than once for one triangle, in any order.
+    /// `accept` may be called more than once for one triangle, in any order; it must always say the same of one hit.
+    /// A ray that is not traceable ([`Ray::is_traceable`]) misses.
     pub fn closest_hit(
         &self,
         triangles: &impl Triangles,
         ray: &Ray,
         accept: impl FnMut(&Hit) -> bool,
     ) -> Option<Hit> {
-        let _ = (triangles, ray, accept);
-        None
+        self.walk::<false>(triangles, ray, accept)
     }
 
-    /// Whether any hit with `t_min < t < t_max` is accepted.
+    /// Whether any hit with `t_min < t < t_max` is accepted. A ray that is not traceable misses.
     pub fn any_hit(&self, triangles: &impl Triangles, ray: &Ray, accept: impl FnMut(&Hit) -> bool) -> bool {
-        let _ = (triangles, ray, accept);
-        false
+        self.walk::<true>(triangles, ray, accept).is_some()
+    }
+
+    /// Visits the cells along `ray` from near to far; stops at the first accepted hit if `ANY`, else when no cell can hold
+    /// a nearer one. (Havran 2000's traversal, with references as in Seo, Park and Ihm 2022, section 3.2.)
+    fn walk<const ANY: bool>(
+        &self,
+        triangles: &impl Triangles,
+        ray: &Ray,
+        accept: impl FnMut(&Hit) -> bool,
+    ) -> Option<Hit> {
+        if !ray.is_traceable() {
+            return None;
+        }
+        let origin = ray.origin.to_array();
+        // Treat a direction component as zero when its inverse would be useless.
+        let direction = ray.direction.to_array().map(|d| if d.abs() < Ray::TINY_COMPONENT { 0.0 } else { d });
+        let inverse = direction.map(f32::recip);
+
+        // Clip the ray, as thick as it counts, to the scene.
+        let Aabb { min, max } = self.bounds;
+        let radius = THICKNESS * (min - ray.origin).abs().max((max - ray.origin).abs()).max_element();
+        let bounds = Aabb { min: min - radius, max: max + radius };
+        let (mut t0, mut t1) = bounds.clip(ray, Vec3::from_array(inverse))?;
+        let slack = inverse.map(|inverse| radius * inverse.abs());
+
+        let mut search = Search::new(triangles, ray, accept);
+        let mut stack = [(0u32, 0.0f32, 0.0f32); MAX_DEPTH as usize];
+        let mut pending = 0;
+        let mut at = 0u32;
+        loop {
+            let node = Node(self.slots[at as usize]);
+            if node.is_leaf() {
+                // Test the triangles of the cell.
+                match node.count() {
+                    0 => {}
+                    1 => search.test(node.payload()),
+                    count => {
+                        let first = node.payload() as usize;
+                        for &id in &self.list[first..first + count as usize] {
+                            search.test(id);
+                        }
+                    }
+                }
+            } else {
+                // Test the references early: a hit outside this cell is still a true hit.
+                let left = at + node.size();
+                if node.refs() > 0 {
+                    let [first, second] = self.slots[at as usize + 1];
+                    search.test(first);
+                    if node.refs() > 1 {
+                        search.test(second);
+                    }
+                }
+                if ANY && search.found {
+                    return Some(search.best);
+                }
+                if !search.is_nearer_than(t0) {
+                    t1 = if search.best.t < t1 { search.best.t } else { t1 };
+
+                    let axis = node.axis();
+                    let (x, split, step) = (origin[axis], node.split(), direction[axis]);
+                    if step == 0.0 {
+                        // The ray is parallel to the plane: on one side of it, or in it.
+                        if (split - x).abs() <= radius {
+                            stack[pending] = (node.right(), t0, t1);
+                            pending += 1;
+                            at = left;
+                        } else {
+                            at = if x < split { left } else { node.right() };
+                        }
+                        continue;
+                    }
+
+                    // Find the near side of the plane, and where the ray comes to it and leaves it.
+                    let (near, far) = if x < split || (x == split && step < 0.0) {
+                        (left, node.right())
+                    } else {
+                        (node.right(), left)
+                    };
+                    let to_plane = (split - x) * inverse[axis];
+                    let (enter, leave) = (to_plane - slack[axis], to_plane + slack[axis]);
+
+                    // Go on in the cells that the ray passes.
+                    if to_plane <= 0.0 {
+                        // The plane lies behind the origin or holds it; the ray may not be clear of it yet.
+                        if leave >= t0 * (1.0 - MARGIN) {
+                            stack[pending] = (far, t0, if leave < t1 { leave } else { t1 });
+                            pending += 1;
+                        }
+                        at = near;
+                    } else if enter > t1 * (1.0 + MARGIN) {
+                        at = near;
+                    } else if leave < t0 * (1.0 - MARGIN) {
+                        at = far;
+                    } else {
+                        stack[pending] = (far, if enter > t0 { enter } else { t0 }, t1);
+                        pending += 1;
+                        t1 = if leave < t1 { leave } else { t1 };
+                        at = near;
+                    }
+                    continue;
+                }
+            }
+            if ANY && search.found {
+                return Some(search.best);
+            }
+            // Take up the nearest cell that waits, unless every one of them lies behind the best hit.
+            loop {
+                if pending == 0 {
+                    return search.found.then_some(search.best);
+                }
+                pending -= 1;
+                (at, t0, t1) = stack[pending];
+                if !search.is_nearer_than(t0) {
+                    break;
+                }
+            }
+        }
+    }
+}
+
+/// The nearest accepted hit over triangles `0..triangle_count`, found by testing every one with the test that the tree uses:
+/// the judge of [`TreeView::closest_hit`], with which it agrees in triangle and in every bit of `t`.
+pub fn brute_force_closest(
+    triangle_count: u32,
+    triangles: &impl Triangles,
+    ray: &Ray,
+    accept: impl FnMut(&Hit) -> bool,
+) -> Option<Hit> {
+    if !ray.is_traceable() {
+        return None;
+    }
+    let mut search = Search::new(triangles, ray, accept);
+    for id in 0..triangle_count {
+        search.test(id);
+    }
+    search.found.then_some(search.best)
+}
+
+/// Half the thickness of the ray, in units of the largest coordinate of the scene relative to its origin: the reported point of
+/// a hit is within [`LATERAL_ERROR`] of the exact ray at the exact `t`, rounding `t` moves it by one unit roundoff more, and a
+/// plane distance with its slack takes four rounded operations and one inverse.
+const THICKNESS: f32 = LATERAL_ERROR + gamma(6);
+
+/// The relative error allowed to a distance compared with another one, over and above [`THICKNESS`]: both were rounded to `f32` and one
+/// has been through a sum or two; this is eight roundoffs.
+const MARGIN: f32 = 4.0 * f32::EPSILON;
+
+/// The best hit so far, and what is needed to find a better one.
+struct Search<'a, T, A> {
+    triangles: &'a T,
+    ray: &'a Ray,
+    shear: RayShear,
+    accept: A,
+    /// Before the first hit: `t_max` with the smallest id, which no hit at `t_max` itself precedes.
+    best: Hit,
+    found: bool,
+}
+
+impl<'a, T: Triangles, A: FnMut(&Hit) -> bool> Search<'a, T, A> {
+    /// A search along `ray`, which is traceable.
+    fn new(triangles: &'a T, ray: &'a Ray, accept: A) -> Self {
+        let best = Hit { t: ray.t_max, triangle: 0, b1: 0.0, b2: 0.0 };
+        Self { triangles, ray, shear: RayShear::new(ray), accept, best, found: false }
+    }
+
+    #[inline]
+    fn test(&mut self, triangle: u32) {
+        let vertices = self.triangles.vertices(triangle);
+        if let Some(crossing) = intersect(self.ray, &self.shear, vertices, self.best.t) {
+            let hit = Hit { t: crossing.t, triangle, b1: crossing.b1, b2: crossing.b2 };
+            if hit.precedes(&self.best) && (self.accept)(&hit) {
+                self.best = hit;
+                self.found = true;
+            }
+        }
+    }
+
+    /// Whether the best hit lies before `t0` by more than rounding, so that nothing from `t0` on can replace it.
+    #[inline]
+    fn is_nearer_than(&self, t0: f32) -> bool {
+        self.best.t < t0 * (1.0 - MARGIN)
     }
 }

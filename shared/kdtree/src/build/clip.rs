@@ -1,0 +1,199 @@
+//! Cells, and the boxes of triangles cut to them.
+
+use super::plane::Plane;
+use tessera_geometry::Vec3;
+
+/// A cell of the tree, or the box of what a cell holds of a triangle. Arrays, because the builder turns about axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Cell {
+    pub min: [f32; 3],
+    pub max: [f32; 3],
+}
+
+impl Cell {
+    /// The box of a triangle; -0 becomes +0.
+    pub fn around(vertices: [Vec3; 3]) -> Self {
+        let [a, b, c] = vertices;
+        Self { min: (a.min(b).min(c) + 0.0).to_array(), max: (a.max(b).max(c) + 0.0).to_array() }
+    }
+
+    pub fn union(&self, other: &Self) -> Self {
+        Self {
+            min: std::array::from_fn(|k| self.min[k].min(other.min[k])),
+            max: std::array::from_fn(|k| self.max[k].max(other.max[k])),
+        }
+    }
+
+    /// The cell with its faces moved out by `by`, or to the next number where `by` is below the resolution there.
+    pub fn enlarged(&self, by: f32) -> Self {
+        Self {
+            min: self.min.map(|x| (x - by).min(x.next_down())),
+            max: self.max.map(|x| (x + by).max(x.next_up())),
+        }
+    }
+
+    /// The cells on the low and the high side of `plane`.
+    pub fn split(&self, plane: &Plane) -> [Self; 2] {
+        let (mut low, mut high) = (*self, *self);
+        low.max[plane.axis] = plane.position;
+        high.min[plane.axis] = plane.position;
+        [low, high]
+    }
+
+    /// Surface area.
+    pub fn area(&self) -> f64 {
+        let [x, y, z] = self.extent();
+        2.0 * (x * y + y * z + z * x)
+    }
+
+    pub fn extent(&self) -> [f64; 3] {
+        std::array::from_fn(|k| f64::from(self.max[k]) - f64::from(self.min[k]))
+    }
+}
+
+/// By how much a cell is enlarged before triangles are cut to it: 2^-30 of the largest coordinate of the scene `root`, which is
+/// 2^22 times the rounding error of a crossing point in `f64`. So a part that touches the cell is never lost by rounding; for a grid of
+/// 2^20 voxels it is a thousandth of a voxel.
+pub(super) fn margin(root: &Cell) -> f64 {
+    const SHARE: f64 = 1.0 / (1u64 << 30) as f64;
+    let coordinates = root.min.iter().chain(&root.max);
+    f64::from(coordinates.fold(0.0f32, |a, x| a.max(x.abs()))) * SHARE
+}
+
+/// The boxes of the parts of a triangle in both halves of `cell`, for a triangle whose box in `cell`, `bounds`, straddles
+/// `plane`. `None` on a side that the triangle does not reach; never on both.
+///
+/// Sutherland and Hodgman's clipping in `f64` against the enlarged cell, rounded outward to `f32` and held to `bounds`.
+pub(super) fn clip_halves(
+    triangle: [Vec3; 3],
+    bounds: &Cell,
+    cell: &Cell,
+    plane: &Plane,
+    margin: f64,
+) -> [Option<Cell>; 2] {
+    let mut polygon = Polygon::new(triangle);
+    for axis in 0..3 {
+        polygon.keep_above(axis, f64::from(cell.min[axis]) - margin);
+        polygon.keep_below(axis, f64::from(cell.max[axis]) + margin);
+    }
+    let at = f64::from(plane.position);
+    let low = polygon.bounds_below(plane.axis, at + margin);
+    let high = polygon.bounds_above(plane.axis, at - margin);
+
+    let halves = bounds.split(plane);
+    if low.is_none() && high.is_none() {
+        return halves.map(Some);
+    }
+    [low.map(|b| b.rounded_within(&halves[0])), high.map(|b| b.rounded_within(&halves[1]))]
+}
+
+/// A convex polygon: a triangle that at most six planes have cut, each adding a corner at most.
+struct Polygon {
+    corners: [[f64; 3]; 9],
+    len: usize,
+}
+
+impl Polygon {
+    fn new(triangle: [Vec3; 3]) -> Self {
+        let mut corners = [[0.0; 3]; 9];
+        for (corner, vertex) in corners.iter_mut().zip(triangle) {
+            *corner = vertex.as_dvec3().to_array();
+        }
+        Self { corners, len: 3 }
+    }
+
+    fn corners(&self) -> &[[f64; 3]] {
+        &self.corners[..self.len]
+    }
+
+    fn keep_above(&mut self, axis: usize, bound: f64) {
+        if self.corners().iter().any(|c| c[axis] < bound) {
+            self.cut(|c| c[axis] - bound);
+        }
+    }
+
+    fn keep_below(&mut self, axis: usize, bound: f64) {
+        if self.corners().iter().any(|c| c[axis] > bound) {
+            self.cut(|c| bound - c[axis]);
+        }
+    }
+
+    /// Keeps what lies where `side` is not negative.
+    fn cut(&mut self, side: impl Fn(&[f64; 3]) -> f64) {
+        let old = (self.corners, self.len);
+        self.len = 0;
+        walk(&old.0[..old.1], side, |corner| {
+            // Rounding cannot add more than a corner for each plane, but a full array must not overflow whatever happens.
+            if self.len < self.corners.len() {
+                self.corners[self.len] = corner;
+                self.len += 1;
+            }
+        });
+    }
+
+    fn bounds_below(&self, axis: usize, bound: f64) -> Option<Bounds> {
+        self.bounds_where(|c| bound - c[axis])
+    }
+
+    fn bounds_above(&self, axis: usize, bound: f64) -> Option<Bounds> {
+        self.bounds_where(|c| c[axis] - bound)
+    }
+
+    /// The box of what lies where `side` is not negative.
+    fn bounds_where(&self, side: impl Fn(&[f64; 3]) -> f64) -> Option<Bounds> {
+        let mut bounds = Bounds { min: [f64::INFINITY; 3], max: [f64::NEG_INFINITY; 3] };
+        walk(self.corners(), side, |corner| {
+            for (k, x) in corner.into_iter().enumerate() {
+                bounds.min[k] = bounds.min[k].min(x);
+                bounds.max[k] = bounds.max[k].max(x);
+            }
+        });
+        (bounds.min[0] <= bounds.max[0]).then_some(bounds)
+    }
+}
+
+/// Walks around a polygon and hands out the corners of the part where `side` is not negative.
+#[inline]
+fn walk(corners: &[[f64; 3]], side: impl Fn(&[f64; 3]) -> f64, mut keep: impl FnMut([f64; 3])) {
+    let Some(mut from) = corners.last() else { return };
+    let mut from_side = side(from);
+    for to in corners {
+        let to_side = side(to);
+        if (from_side < 0.0) != (to_side < 0.0) {
+            // Always from the inner to the outer corner, so that both directions of an edge give the same point.
+            let (a, b, sa, sb) =
+                if from_side < 0.0 { (to, from, to_side, from_side) } else { (from, to, from_side, to_side) };
+            let part = sa / (sa - sb);
+            keep(std::array::from_fn(|k| a[k] + (b[k] - a[k]) * part));
+        }
+        if to_side >= 0.0 {
+            keep(*to);
+        }
+        (from, from_side) = (to, to_side);
+    }
+}
+
+struct Bounds {
+    min: [f64; 3],
+    max: [f64; 3],
+}
+
+impl Bounds {
+    /// The smallest `f32` box around this one, held to `limit`.
+    fn rounded_within(&self, limit: &Cell) -> Cell {
+        Cell {
+            min: std::array::from_fn(|k| round_down(self.min[k]).clamp(limit.min[k], limit.max[k]) + 0.0),
+            max: std::array::from_fn(|k| round_up(self.max[k]).clamp(limit.min[k], limit.max[k]) + 0.0),
+        }
+    }
+}
+
+fn round_down(x: f64) -> f32 {
+    let nearest = x as f32;
+    if f64::from(nearest) > x { nearest.next_down() } else { nearest }
+}
+
+fn round_up(x: f64) -> f32 {
+    let nearest = x as f32;
+    if f64::from(nearest) < x { nearest.next_up() } else { nearest }
+}

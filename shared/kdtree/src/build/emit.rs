@@ -1,0 +1,137 @@
+//! Packing nodes, and undoing splits that turned out not to pay.
+
+use super::Part;
+use super::clip::Cell;
+use super::plane::{Costs, Plane};
+use crate::node::{MAX_SLOTS, Node, Slot, reference_slot};
+
+/// A packed (sub)tree under construction, depth first; indices count from its own start.
+#[derive(Default)]
+pub(super) struct Output {
+    pub slots: Vec<Slot>,
+    pub list: Vec<u32>,
+}
+
+/// The tree does not fit 28-bit slot indices.
+#[derive(Debug)]
+pub(super) struct TooManySlots;
+
+impl Output {
+    /// Appends a leaf of `ids`, ascending.
+    pub fn leaf(&mut self, ids: &[u32]) {
+        let payload = match *ids {
+            [] => 0,
+            [id] => id,
+            _ => {
+                let first = self.list.len() as u32;
+                self.list.extend_from_slice(ids);
+                first
+            }
+        };
+        self.slots.push(Node::leaf(ids.len() as u32, payload).0);
+    }
+
+    /// Appends an inner node with its references, ascending, and returns its slot. The left child follows, then
+    /// [`Output::begin_right`], the right child and [`Output::close_inner`].
+    pub fn open_inner(&mut self, plane: &Plane, refs: &[u32]) -> usize {
+        let slot = self.slots.len();
+        self.slots.push(Node::inner(plane.axis, plane.position, refs.len() as u32, 0).0);
+        if !refs.is_empty() {
+            self.slots.push(reference_slot(refs));
+        }
+        slot
+    }
+
+    /// Enters the next slot as the right child of the inner node at `slot`.
+    pub fn begin_right(&mut self, slot: usize) {
+        let node = Node(self.slots[slot]);
+        let right = self.slots.len() as u32;
+        self.slots[slot] = Node::inner(node.axis(), node.split(), node.refs(), right).0;
+    }
+
+    /// Finishes the inner node at `slot`, which covers `cell`; makes it a leaf when both children are leaves and one leaf of
+    /// all their triangles costs no more: `K_I |union| <= K_T + K_I (|refs| + SA_L / SA |left| + SA_R / SA |right|)`.
+    ///
+    /// The split was chosen before its triangles were cut (some lie in one half only), with a bonus for empty halves, or before
+    /// further splits below were undone; so this saves bytes and cost.
+    pub fn close_inner(&mut self, slot: usize, cell: &Cell, costs: &Costs) {
+        let node = Node(self.slots[slot]);
+        let (left, right) = (slot + node.size() as usize, node.right() as usize);
+        let [left, right] = [left, right].map(|child| Node(self.slots[child]));
+        if !(left.is_leaf() && right.is_leaf()) {
+            return;
+        }
+        let plane = Plane { axis: node.axis(), position: node.split(), flat_go_low: true };
+        let [low, high] = cell.split(&plane).map(|half| half.area() / cell.area());
+        let tests = f64::from(node.refs()) + low * f64::from(left.count()) + high * f64::from(right.count());
+
+        let refs: Vec<u32> = match node.refs() {
+            0 => Vec::new(),
+            refs => self.slots[slot + 1][..refs as usize].to_vec(),
+        };
+        let mut union = [self.leaf_ids(&left), self.leaf_ids(&right), &refs].concat();
+        union.sort_unstable();
+        union.dedup();
+        if costs.intersection * union.len() as f64 <= costs.traversal + costs.intersection * tests {
+            let listed =
+                [left, right].iter().filter(|n| n.count() >= 2).map(|n| n.count() as usize).sum::<usize>();
+            self.list.truncate(self.list.len() - listed);
+            self.slots.truncate(slot);
+            self.leaf(&union);
+        }
+    }
+
+    fn leaf_ids<'a>(&'a self, leaf: &'a Node) -> &'a [u32] {
+        match leaf.count() {
+            0 => &[],
+            1 => &leaf.0[..1],
+            count => &self.list[leaf.payload() as usize..][..count as usize],
+        }
+    }
+
+    pub fn shrink(&mut self) {
+        self.slots.shrink_to_fit();
+        self.list.shrink_to_fit();
+    }
+
+    /// Appends a finished subtree.
+    fn append(&mut self, piece: Self) -> Result<(), TooManySlots> {
+        if self.slots.len() + piece.slots.len() > MAX_SLOTS
+            || self.list.len() + piece.list.len() > u32::MAX as usize
+        {
+            return Err(TooManySlots);
+        }
+        let (slots, entries) = (self.slots.len() as u32, self.list.len() as u32);
+        let mut rest = piece.slots.as_slice();
+        while let Some(&first) = rest.first() {
+            let node = Node(first);
+            self.slots.push(node.moved(slots, entries).0);
+            let size = if node.is_leaf() { 1 } else { node.size() as usize };
+            self.slots.extend_from_slice(&rest[1..size]);
+            rest = &rest[size..];
+        }
+        self.list.extend_from_slice(&piece.list);
+        Ok(())
+    }
+}
+
+impl Part {
+    /// Appends the tree under this part to `output`. Recursion is as deep as the tree, at most 48.
+    pub fn pack_into(self, output: &mut Output, costs: &Costs) -> Result<(), TooManySlots> {
+        match self {
+            Self::Piece(piece) => output.append(piece),
+            Self::Inner { cell, plane, children } => {
+                let [left, right] = *children;
+                let node = output.open_inner(&plane, &[]);
+                left.pack_into(output, costs)?;
+                if output.slots.len() >= MAX_SLOTS {
+                    return Err(TooManySlots);
+                }
+                output.begin_right(node);
+                right.pack_into(output, costs)?;
+                output.close_inner(node, &cell, costs);
+                Ok(())
+            }
+        }
+    }
+}
