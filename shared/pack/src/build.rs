@@ -141,6 +141,7 @@ pub fn build_pack(mut input: PackInput, options: &PackOptions) -> Result<(Pack, 
     let tree = {
         let mesh = MeshView::new(&head, &|section| sections.bytes(section));
         tessera_kdtree::build(head.triangles, |id| mesh.vertices(id), &options.tree)
+            .map_err(|e| BuildError::Input(e.to_string()))?
     };
     stats.tree = tree.stats();
     head.tree_depth = tree.depth;

@@ -242,7 +242,7 @@ pub fn unkind_ray(i: usize, random: &mut Random, soup: &Soup, planes: &[(usize, 
         }
         _ => {}
     }
-    if i % 3 == 0 {
+    if i.is_multiple_of(3) {
         direction = direction.normalize();
     }
     Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY }
