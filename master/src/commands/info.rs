@@ -157,29 +157,31 @@ pub struct InfoMs {
 pub fn run(args: InfoArgs, progress: &Progress) -> Result<(), CommandError> {
     let prepared = run::prepare_scene(&args.scene.scene, &args.scene.packing, progress)?;
     let options = args.scene.packing.options().tree;
-    let trees = [0, 1, 2].map(|refs| {
+    let build = |refs| {
         let _bar = progress.step(format!("building the kd-tree with {refs} references on an inner node"));
         tree(&prepared.pack, BuildOptions { max_refs: refs, ..options })
-    });
+    };
+    let trees = [build(0)?, build(1)?, build(2)?];
     let info = Info::new(prepared, trees);
     if args.json { super::print_json(&info) } else { super::print_text(&info_text::text(&info)) }
 }
 
-fn tree(pack: &Pack, options: BuildOptions) -> TreeLine {
+fn tree(pack: &Pack, options: BuildOptions) -> Result<TreeLine, CommandError> {
     let start = Instant::now();
     let mesh = pack.mesh();
-    let tree = tessera_kdtree::build(pack.triangle_count(), |id| mesh.vertices(id), &options);
+    let tree = tessera_kdtree::build(pack.triangle_count(), |id| mesh.vertices(id), &options)
+        .map_err(CommandError::failed)?;
     let build_ms = start.elapsed().as_secs_f64() * 1e3;
     let stats = tree.stats();
     let nodes = Nodes::from(stats);
     let slots = nodes.inner0 + nodes.leaves + 2 * (nodes.inner1 + nodes.inner2);
-    TreeLine {
+    Ok(TreeLine {
         refs: options.max_refs,
         nodes,
         bytes: stats.bytes,
         bytes_formula: 8 * slots + 4 * nodes.leaf_refs,
         build_ms,
-    }
+    })
 }
 
 /// Of a pack that came as it is.
