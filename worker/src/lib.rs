@@ -3,8 +3,15 @@
 //! [`run_local`] is a whole worker process; [`serve`] is a worker on any four pipes (an in-memory link of the master's, for one).
 //! A worker never parses a user's scene file: it receives a pack, and checks it.
 
+mod backend;
+mod local;
+mod net;
+mod pipes;
+mod receive;
+mod render;
 mod serve;
 pub mod session;
 
-pub use serve::{WorkerConfig, WorkerError, WorkerPipes, run_local, serve};
+pub use local::run_local;
+pub use serve::{WorkerConfig, WorkerError, WorkerPipes, serve, serve_until};
 pub use tessera_whitted::NUMERIC_CLASS;

@@ -1,17 +1,33 @@
-//! A worker's life: join, hold a pack, render what is assigned, go.
+//! A worker's life on four pipes: join, hold a pack, render what is assigned, go.
 
-use tokio::io::{AsyncRead, AsyncWrite};
+use crate::{
+    NUMERIC_CLASS,
+    backend::cpu,
+    pipes::{PipeError, Reader, Writer, read_message, write_message},
+    receive::{Assembly, receive},
+    render::{RenderEvent, RenderThread},
+    session::{Action, Batch, Ending, RenderedTile, Session},
+};
+use std::future::{Future, pending};
+use tessera_pack::Pack;
+use tessera_wire::{AbortCode, Hello, PackId, PackRefusal, Refusal, ToMaster, ToWorker, Version, limits};
+use tokio::{
+    io::AsyncWriteExt,
+    sync::mpsc,
+    task::{JoinHandle, JoinSet},
+    time::{Instant, sleep_until, timeout},
+};
 
 /// The worker's end of a connection: a control and a bulk pipe in each direction.
 pub struct WorkerPipes {
     /// Control messages from the master.
-    pub control_in: Box<dyn AsyncRead + Send + Unpin>,
+    pub control_in: Reader,
     /// Control messages to the master.
-    pub control_out: Box<dyn AsyncWrite + Send + Unpin>,
+    pub control_out: Writer,
     /// Packs from the master.
-    pub bulk_in: Box<dyn AsyncRead + Send + Unpin>,
+    pub bulk_in: Reader,
     /// Tiles to the master.
-    pub bulk_out: Box<dyn AsyncWrite + Send + Unpin>,
+    pub bulk_out: Writer,
 }
 
 /// What a worker says of itself, and what it may use.
@@ -28,19 +44,271 @@ pub struct WorkerConfig {
 /// Why a worker ended before it was dismissed.
 #[derive(Debug, thiserror::Error)]
 pub enum WorkerError {
+    /// Standard input does not hold a ticket: the command was not started by a master.
+    #[error("no ticket on standard input ({0}): this command is for `tessera` itself to start")]
+    Ticket(String),
+    /// The master cannot be reached, or does not take this worker's certificate.
+    #[error("cannot connect to the master at {address}: {reason}")]
+    Connect {
+        /// Where.
+        address: String,
+        /// Why.
+        reason: String,
+    },
+    /// The render threads cannot be started.
+    #[error("cannot start the render threads: {0}")]
+    Threads(String),
     /// The connection broke.
     #[error("the connection to the master is lost: {0}")]
     Lost(String),
+    /// The master does not take this worker.
+    #[error("the master refuses this worker: {0}")]
+    Refused(Refusal),
+    /// One side cut the connection.
+    #[error("the session was cut: {code}: {detail}")]
+    Aborted {
+        /// Kind.
+        code: AbortCode,
+        /// For people.
+        detail: String,
+    },
 }
 
-/// Serves the master behind `pipes` until it dismisses the worker.
+/// Serves the master behind `pipes` until it dismisses the worker. Dropping the future ends the worker.
 pub async fn serve(pipes: WorkerPipes, config: WorkerConfig) -> Result<(), WorkerError> {
-    let _ = (pipes, config);
-    Err(WorkerError::Lost("not built yet".into()))
+    serve_until(pipes, config, pending()).await
 }
 
-/// A local worker process: reads its [`tessera_wire::LocalTicket`] from standard input, serves, and ends when the master dismisses
-/// it or standard input closes. Needs a tokio runtime with I/O and time. Print its error on stderr and exit with 1.
-pub async fn run_local() -> Result<(), WorkerError> {
-    Err(WorkerError::Lost("not built yet".into()))
+/// [`serve`], until `stop` is ready: then the worker leaves, and its unfinished tiles go to others.
+pub async fn serve_until(
+    pipes: WorkerPipes,
+    config: WorkerConfig,
+    stop: impl Future<Output = ()>,
+) -> Result<(), WorkerError> {
+    let begun = Instant::now();
+    let memory = config.memory.or_else(free_memory);
+    let hello = Hello {
+        versions: Version::supported_numbers(),
+        name: config.name,
+        memory: memory.unwrap_or(0),
+        threads: config.threads.max(1),
+        backend: cpu::NAME.into(),
+        numeric_class: NUMERIC_CLASS.into(),
+    };
+    let mut driver = Driver::start(pipes, config.threads.max(1))?;
+    let mut session = Session::start(hello, memory, begun.elapsed());
+    tokio::pin!(stop);
+    let mut stopping = false;
+    loop {
+        while let Some(action) = session.poll() {
+            if let Some(ending) = driver.act(action, &mut session) {
+                driver.close().await;
+                return ending_to_result(ending);
+            }
+        }
+        let deadline = session.deadline().map(|deadline| begun + deadline);
+        tokio::select! {
+            event = driver.events.recv() => match event {
+                Some(event) => driver.take(event, &mut session)?,
+                None => return Err(WorkerError::Lost("its tasks have ended".into())),
+            },
+            () = async { sleep_until(deadline.unwrap_or(begun)).await }, if deadline.is_some() => {
+                session.tick(begun.elapsed());
+            }
+            () = &mut stop, if !stopping => {
+                stopping = true;
+                session.leave();
+            }
+        }
+    }
+}
+
+/// The pipes' tasks, the render thread and the pack. Its methods never wait for a peer.
+struct Driver {
+    events: mpsc::Receiver<Event>,
+    control: mpsc::UnboundedSender<ToMaster>,
+    control_writer: JoinHandle<()>,
+    /// At most `limits::BATCHES_IN_FLIGHT` long: the session sees to it.
+    bulk: mpsc::UnboundedSender<Batch>,
+    /// At most one long: likewise.
+    wanted_packs: mpsc::UnboundedSender<(PackId, u64)>,
+    renderer: RenderThread,
+    pack: Option<Pack>,
+    /// Ends the reading and bulk tasks with the driver.
+    _tasks: JoinSet<()>,
+}
+
+enum Event {
+    Message(ToWorker),
+    Rendered(Box<RenderedTile>),
+    RendererPanicked,
+    BatchSent,
+    PackReserved(PackId, Result<(), PackRefusal>),
+    PackReceived(PackId, Result<Pack, PackRefusal>),
+    Broken(PipeError),
+    Ended,
+}
+
+impl Driver {
+    /// Events that wait for the driver; a task that finds the queue full waits itself.
+    const EVENTS: usize = 64;
+
+    fn start(pipes: WorkerPipes, threads: u32) -> Result<Self, WorkerError> {
+        let (tell, events) = mpsc::channel(Self::EVENTS);
+        let (control, messages) = mpsc::unbounded_channel();
+        let (bulk, batches) = mpsc::unbounded_channel();
+        let (wanted_packs, wanted) = mpsc::unbounded_channel();
+        let mut tasks = JoinSet::new();
+        tasks.spawn(read_control(pipes.control_in, tell.clone()));
+        tasks.spawn(write_bulk(pipes.bulk_out, batches, tell.clone()));
+        tasks.spawn(read_packs(pipes.bulk_in, wanted, tell.clone()));
+        let control_writer = tokio::spawn(write_control(pipes.control_out, messages));
+        let renderer = RenderThread::start(threads, move |event| {
+            // The driver may be gone; the thread then ends with it.
+            let _ = tell.blocking_send(match event {
+                RenderEvent::Rendered(tile) => Event::Rendered(Box::new(tile)),
+                RenderEvent::Panicked => Event::RendererPanicked,
+            });
+        })
+        .map_err(|e| WorkerError::Threads(e.to_string()))?;
+        let pack = None;
+        Ok(Self { events, control, control_writer, bulk, wanted_packs, renderer, pack, _tasks: tasks })
+    }
+
+    /// Does what the session wants; the ending, if that is it. A task that has ended has told so in an event: sends may fail.
+    fn act(&mut self, action: Action, session: &mut Session) -> Option<Ending> {
+        match action {
+            Action::Send(message) => {
+                let _ = self.control.send(message);
+            }
+            Action::Return(batch) => {
+                let _ = self.bulk.send(batch);
+            }
+            Action::Receive { pack, length } => {
+                self.pack = None;
+                let _ = self.wanted_packs.send((pack, length));
+            }
+            Action::Render(task) => match &self.pack {
+                Some(pack) => self.renderer.render(task, pack.clone()),
+                None => session.abort(AbortCode::Internal, "a tile without a pack".into()),
+            },
+            Action::Over(ending) => return Some(ending),
+        }
+        None
+    }
+
+    fn take(&mut self, event: Event, session: &mut Session) -> Result<(), WorkerError> {
+        match event {
+            Event::Message(message) => session.message(message),
+            Event::Rendered(tile) => session.rendered(*tile),
+            Event::RendererPanicked => session.abort(AbortCode::Internal, "the renderer has panicked".into()),
+            Event::BatchSent => session.batch_sent(),
+            Event::PackReserved(pack, result) => session.pack_reserved(pack, result),
+            Event::PackReceived(id, result) => {
+                let result = result.map(|pack| self.pack = Some(pack));
+                session.pack_received(id, result);
+            }
+            Event::Broken(PipeError::Codec(e)) => session.abort(AbortCode::Malformed, e.to_string()),
+            Event::Broken(PipeError::Io(e)) => return Err(WorkerError::Lost(e.to_string())),
+            Event::Ended => return Err(WorkerError::Lost("the master has closed it".into())),
+        }
+        Ok(())
+    }
+
+    /// Sees the last messages off.
+    async fn close(self) {
+        /// A peer that does not read is not waited for.
+        const FAREWELL: std::time::Duration = std::time::Duration::from_secs(1);
+        drop(self.control);
+        let _ = timeout(FAREWELL, self.control_writer).await;
+    }
+}
+
+async fn read_control(mut pipe: Reader, tell: mpsc::Sender<Event>) {
+    loop {
+        let event = match read_message(&mut pipe).await {
+            Ok(Some(message)) => Event::Message(message),
+            Ok(None) => Event::Ended,
+            Err(e) => Event::Broken(e),
+        };
+        let is_last = !matches!(event, Event::Message(_));
+        if tell.send(event).await.is_err() || is_last {
+            return;
+        }
+    }
+}
+
+async fn write_control(mut pipe: Writer, mut messages: mpsc::UnboundedReceiver<ToMaster>) {
+    while let Some(message) = messages.recv().await {
+        // A broken pipe shows in `read_control` as well.
+        if let Err(e) = write_message(&mut pipe, &message).await {
+            tracing::debug!("control pipe: {e}");
+            return;
+        }
+    }
+    let _ = pipe.shutdown().await;
+}
+
+async fn write_bulk(
+    mut pipe: Writer,
+    mut batches: mpsc::UnboundedReceiver<Batch>,
+    tell: mpsc::Sender<Event>,
+) {
+    while let Some(batch) = batches.recv().await {
+        let event = match write_batch(&mut pipe, batch).await {
+            Ok(()) => Event::BatchSent,
+            Err(e) => Event::Broken(e),
+        };
+        if tell.send(event).await.is_err() {
+            return;
+        }
+    }
+}
+
+async fn write_batch(pipe: &mut Writer, batch: Batch) -> Result<(), PipeError> {
+    write_message(pipe, &batch.header).await?;
+    for pixels in &batch.pixels {
+        pipe.write_all(pixels).await?;
+    }
+    Ok(pipe.flush().await?)
+}
+
+async fn read_packs(
+    mut pipe: Reader,
+    mut wanted: mpsc::UnboundedReceiver<(PackId, u64)>,
+    tell: mpsc::Sender<Event>,
+) {
+    while let Some((pack, length)) = wanted.recv().await {
+        let assembly = Assembly::new(pack, length);
+        let reserved = assembly.as_ref().map(|_| ()).map_err(Clone::clone);
+        if tell.send(Event::PackReserved(pack, reserved)).await.is_err() {
+            return;
+        }
+        let Ok(assembly) = assembly else { continue };
+        let event = match receive(&mut pipe, assembly).await {
+            Ok(result) => Event::PackReceived(pack, result),
+            Err(e) => Event::Broken(e),
+        };
+        if tell.send(event).await.is_err() {
+            return;
+        }
+    }
+}
+
+fn ending_to_result(ending: Ending) -> Result<(), WorkerError> {
+    match ending {
+        Ending::Dismissed | Ending::Left => Ok(()),
+        Ending::Refused(refusal) => Err(WorkerError::Refused(refusal)),
+        Ending::Aborted { code, detail } => {
+            let detail = detail.chars().filter(|c| !c.is_control()).take(limits::TEXT_BYTES).collect();
+            Err(WorkerError::Aborted { code, detail })
+        }
+    }
+}
+
+/// Memory that the system could give without swapping, where it says so (Linux).
+fn free_memory() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
 }

@@ -32,6 +32,7 @@ enum Phase {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Holding {
     Nothing,
+    Reserving(PackId),
     Receiving(PackId),
     Held(PackId),
 }
@@ -52,7 +53,8 @@ struct Active {
 pub enum Action {
     /// Send a message.
     Send(ToMaster),
-    /// Forget any pack and take `length` bytes of this one from the bulk pipe; then call [`Session::pack_received`].
+    /// Forget any pack, find room for `length` bytes and call [`Session::pack_reserved`]; if that went well, take them from the bulk
+    /// pipe and call [`Session::pack_received`].
     Receive {
         /// Which pack.
         pack: PackId,
@@ -192,6 +194,24 @@ impl Session {
         }
     }
 
+    /// Whether there is room for the pack that [`Action::Receive`] announced.
+    pub fn pack_reserved(&mut self, pack: PackId, result: Result<(), PackRefusal>) {
+        if self.phase != Phase::Joined || self.holding != Holding::Reserving(pack) {
+            return;
+        }
+        let answer = match result {
+            Ok(()) => {
+                self.holding = Holding::Receiving(pack);
+                ToMaster::PackNeed { pack, have: false }
+            }
+            Err(reason) => {
+                self.holding = Holding::Nothing;
+                ToMaster::PackRejected { pack, reason }
+            }
+        };
+        self.send(answer);
+    }
+
     /// The transfer that [`Action::Receive`] asked for has ended.
     pub fn pack_received(&mut self, pack: PackId, result: Result<(), PackRefusal>) {
         if self.phase != Phase::Joined || self.holding != Holding::Receiving(pack) {
@@ -264,7 +284,7 @@ impl Session {
     }
 
     fn offer(&mut self, pack: PackId, length: u64) {
-        if self.frame.is_some() || matches!(self.holding, Holding::Receiving(_)) {
+        if self.frame.is_some() || matches!(self.holding, Holding::Reserving(_) | Holding::Receiving(_)) {
             return self.abort(AbortCode::Unexpected, "a pack is offered in the middle of work".into());
         }
         if self.holding == Holding::Held(pack) {
@@ -276,9 +296,8 @@ impl Session {
             let reason = PackRefusal::OutOfMemory { needs: length, has: most };
             return self.send(ToMaster::PackRejected { pack, reason });
         }
-        self.holding = Holding::Receiving(pack);
+        self.holding = Holding::Reserving(pack);
         self.actions.push_back(Action::Receive { pack, length });
-        self.send(ToMaster::PackNeed { pack, have: false });
     }
 
     fn begin(&mut self, frame: Frame) {
@@ -423,8 +442,9 @@ mod tests {
     fn loaded() -> Session {
         let mut s = joined(None);
         s.message(ToWorker::PackOffer { pack: PACK, length: 5 });
-        let need = ToMaster::PackNeed { pack: PACK, have: false };
-        assert_eq!(actions(&mut s), [Action::Receive { pack: PACK, length: 5 }, Action::Send(need)]);
+        assert_eq!(actions(&mut s), [Action::Receive { pack: PACK, length: 5 }]);
+        s.pack_reserved(PACK, Ok(()));
+        assert_eq!(actions(&mut s), [Action::Send(ToMaster::PackNeed { pack: PACK, have: false })]);
         s.pack_received(PACK, Ok(()));
         assert_eq!(actions(&mut s), [Action::Send(ToMaster::PackReady { pack: PACK })]);
         s
@@ -526,6 +546,12 @@ mod tests {
         let reason = PackRefusal::OutOfMemory { needs: 101, has: 100 };
         assert_eq!(actions(&mut s), [Action::Send(ToMaster::PackRejected { pack: PACK, reason })]);
         let mut s = joined(None);
+        s.message(ToWorker::PackOffer { pack: PACK, length: 5 });
+        actions(&mut s);
+        let reason = PackRefusal::OutOfMemory { needs: 5, has: 0 };
+        s.pack_reserved(PACK, Err(reason.clone()));
+        assert_eq!(actions(&mut s), [Action::Send(ToMaster::PackRejected { pack: PACK, reason })]);
+        let mut s = joined(None);
         s.message(ToWorker::PackOffer { pack: PACK, length: u64::MAX });
         assert!(matches!(actions(&mut s)[..], [Action::Send(ToMaster::PackRejected { .. })]));
 
@@ -541,6 +567,7 @@ mod tests {
 
         let mut s = joined(None);
         s.message(ToWorker::PackOffer { pack: PACK, length: 5 });
+        s.pack_reserved(PACK, Ok(()));
         actions(&mut s);
         let reason = PackRefusal::HashMismatch { got: other };
         s.pack_received(PACK, Err(reason.clone()));

@@ -9,6 +9,15 @@ use bincode::{Decode, Encode, config};
 /// Bytes before each encoded message.
 pub const PREFIX_BYTES: usize = 4;
 
+/// TLS protocol name: versions are negotiated in `Hello`, this only tells Tessera from anything else.
+pub const ALPN: &[u8] = b"tessera";
+
+/// The name in the master's certificate; peers are known by the authority that signed, not by a host's name.
+pub const SERVER_NAME: &str = "tessera-master";
+
+/// First bytes on a bulk pipe over QUIC, where a stream exists for the peer only once something was written to it.
+pub const BULK_TAG: [u8; 8] = *b"tessblk\0";
+
 /// A type that travels in a frame.
 pub trait Message: Encode + Decode<()> {
     /// Greatest encoded length, and greatest size of what decoding reserves.

@@ -58,6 +58,15 @@ pub const IDLE_TIMEOUT: Duration = Duration::from_secs(5);
 /// How often a quiet connection is pinged: four may be lost before [`IDLE_TIMEOUT`].
 pub const KEEP_ALIVE: Duration = Duration::from_secs(1);
 
+/// Unread bytes that one stream may have under way: 1 Gbit/s over 64 ms.
+pub const STREAM_WINDOW_BYTES: u32 = 8 << 20;
+
+/// Unread bytes that all streams of a connection may have under way, in each direction.
+pub const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
+
+/// Wanted kernel buffers of a UDP socket: 32 ms at 1 Gbit/s, so that a busy receiver does not lose packets.
+pub const SOCKET_BUFFER_BYTES: usize = 4 << 20;
+
 /// How long either side waits for `Hello`, `Welcome` or `Refuse` on a new connection.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 

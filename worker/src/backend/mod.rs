@@ -1,0 +1,3 @@
+//! What renders.
+
+pub(crate) mod cpu;

@@ -1,0 +1,95 @@
+//! A worker process that a master has started on its own machine.
+
+use crate::{WorkerConfig, WorkerError, net::connect, serve_until};
+use std::{io::Read, time::Duration};
+use tessera_wire::{
+    LocalTicket,
+    codec::{self, Message, PREFIX_BYTES},
+};
+use tokio::{sync::oneshot, time::timeout};
+
+/// A local worker process: reads its [`LocalTicket`] from standard input, serves, and ends when the master dismisses it or standard
+/// input closes. Needs a tokio runtime with I/O and time. Print its error on stderr and exit with 1.
+pub async fn run_local() -> Result<(), WorkerError> {
+    let (ticket, master_gone) = read_ticket().await?;
+    let connection = connect(&ticket).await?;
+    let config = WorkerConfig { name: ticket.name, threads: ticket.threads, memory: None };
+    let served = tokio::select! {
+        served = serve_until(connection.pipes, config, terminated()) => served,
+        _ = master_gone => Ok(()),
+    };
+    connection.closer.close(served.is_ok()).await;
+    served
+}
+
+/// The ticket, and a receiver that is ready once standard input has ended: the master is gone, however it went.
+async fn read_ticket() -> Result<(LocalTicket, oneshot::Receiver<()>), WorkerError> {
+    let (ticket, received) = oneshot::channel();
+    let (gone, master_gone) = oneshot::channel();
+    // A thread of its own: a runtime would wait for its blocking tasks, and this read may last as long as the process.
+    let watch = move || {
+        let mut input = std::io::stdin().lock();
+        let _ = ticket.send(parse_ticket(&mut input));
+        let mut scratch = [0; 64];
+        while matches!(input.read(&mut scratch), Ok(1..)) {}
+        let _ = gone.send(());
+    };
+    std::thread::Builder::new()
+        .name("stdin".into())
+        .spawn(watch)
+        .map_err(|e| WorkerError::Threads(e.to_string()))?;
+    /// The master writes it at once; a person at a terminal should not wait for ever.
+    const PATIENCE: Duration = Duration::from_secs(10);
+    match timeout(PATIENCE, received).await {
+        Ok(Ok(Ok(ticket))) => Ok((ticket, master_gone)),
+        Ok(Ok(Err(reason))) => Err(WorkerError::Ticket(reason)),
+        Ok(Err(_)) | Err(_) => Err(WorkerError::Ticket("nothing came".into())),
+    }
+}
+
+fn parse_ticket(input: &mut impl Read) -> Result<LocalTicket, String> {
+    let mut prefix = [0; PREFIX_BYTES];
+    input.read_exact(&mut prefix).map_err(|e| e.to_string())?;
+    let length = codec::body_length(prefix, LocalTicket::LIMIT).map_err(|e| e.to_string())?;
+    let mut body = vec![0; length];
+    input.read_exact(&mut body).map_err(|e| e.to_string())?;
+    codec::decode(&body).map_err(|e| e.to_string())
+}
+
+/// Ready when the process is asked to end: it then leaves in peace.
+#[cfg(unix)]
+async fn terminated() {
+    match tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
+        Ok(mut signal) => {
+            signal.recv().await;
+        }
+        Err(_) => std::future::pending().await,
+    }
+}
+
+#[cfg(not(unix))]
+async fn terminated() {
+    std::future::pending().await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ticket_is_read_and_what_is_none_is_not() {
+        let ticket = LocalTicket {
+            address: "127.0.0.1:1".into(),
+            name: "w".into(),
+            threads: 1,
+            authority: vec![1],
+            certificate: vec![2],
+            key: vec![3],
+        };
+        let bytes = codec::encode(&ticket).unwrap();
+        assert_eq!(parse_ticket(&mut &bytes[..]), Ok(ticket));
+        assert!(parse_ticket(&mut &bytes[..bytes.len() - 1]).is_err());
+        assert!(parse_ticket(&mut &b"hello\n"[..]).is_err());
+        assert!(parse_ticket(&mut &b""[..]).is_err());
+    }
+}
