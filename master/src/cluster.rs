@@ -1,8 +1,28 @@
 //! Workers that have joined, and what they are asked for.
 
-use crate::{FrameJob, FrameResult, Link, Progress};
-use std::{ffi::OsString, path::PathBuf, time::Duration};
+use crate::{
+    FrameJob, FrameResult, Link, Progress, Timings, Traffic,
+    coordinator::{Coordinator, Event, FrameStatus, Outcome, Output},
+    line::{Counters, Input, Line, Tile},
+    net::{self, Authority},
+    spawn,
+    transport::PipeError,
+};
+use quinn::VarInt;
+use std::{
+    ffi::OsString,
+    path::PathBuf,
+    sync::{Arc, atomic::Ordering},
+    time::Duration,
+};
 use tessera_pack::Pack;
+use tessera_wire::{AbortCode, LocalTicket, PackId, WorkerId};
+use tokio::{
+    process::{Child, ChildStdin},
+    sync::mpsc,
+    task::JoinSet,
+    time::{Instant, timeout, timeout_at},
+};
 
 /// Where workers come from.
 pub enum Workers {
@@ -10,6 +30,8 @@ pub enum Workers {
     Local(LocalWorkers),
     /// Connections that exist, see [`Link::in_memory`].
     Links(Vec<Link>),
+    /// That many tickets are handed to the function, and whoever gets one (`tessera_worker::serve_ticket`) is expected to join.
+    Tickets(u32, Box<dyn FnOnce(Vec<LocalTicket>) + Send>),
 }
 
 /// Processes on this machine.
@@ -33,39 +55,362 @@ pub struct ClusterConfig {
 }
 
 /// Workers that have joined. Dropping it ends local worker processes.
-pub struct Cluster {}
+pub struct Cluster {
+    coordinator: Coordinator,
+    begun: Instant,
+    inputs: mpsc::Receiver<Input>,
+    tell: mpsc::Sender<Input>,
+    counters: Arc<Counters>,
+    /// By worker id.
+    lines: Vec<Line>,
+    locals: Vec<Local>,
+    endpoint: Option<quinn::Endpoint>,
+    /// Processes and the listener; dropping it kills them.
+    tasks: JoinSet<()>,
+    /// Connections that are being closed.
+    farewells: JoinSet<()>,
+    pack: Option<PackId>,
+    send_scene: Duration,
+    /// Name and reason of the worker that was lost last.
+    last_lost: String,
+}
+
+/// A worker that was given a ticket.
+struct Local {
+    name: String,
+    /// Tells its connection from the others'.
+    certificate: Vec<u8>,
+    worker: Option<WorkerId>,
+    /// A process ends when it closes.
+    _stdin: Option<ChildStdin>,
+}
 
 impl Cluster {
+    /// Inputs that wait for the cluster; a task that finds the queue full waits itself, and so does its worker.
+    const INPUTS: usize = 32;
+
+    /// How long local processes may take to join: loading a program on a busy machine, not work.
+    const JOIN_TIMEOUT: Duration = Duration::from_secs(30);
+
     /// Starts or greets `workers` and returns when all have joined.
     ///
     /// Does not need the scene: call it before or while the pack is made.
     pub async fn start(workers: Workers, config: ClusterConfig) -> Result<Self, StartError> {
-        let _ = (workers, config);
-        Err(StartError::NoWorkers)
+        let (tell, inputs) = mpsc::channel(Self::INPUTS);
+        let mut this = Self {
+            coordinator: Coordinator::new(config.numeric_class),
+            begun: Instant::now(),
+            inputs,
+            tell,
+            counters: Arc::default(),
+            lines: Vec::new(),
+            locals: Vec::new(),
+            endpoint: None,
+            tasks: JoinSet::new(),
+            farewells: JoinSet::new(),
+            pack: None,
+            send_scene: Duration::ZERO,
+            last_lost: String::new(),
+        };
+        let count = match workers {
+            Workers::Links(links) => {
+                let count = links.len();
+                for link in links {
+                    this.link(link);
+                }
+                count
+            }
+            Workers::Tickets(count, hand_out) => {
+                hand_out(this.listen(count, Some(1))?);
+                count as usize
+            }
+            Workers::Local(workers) => {
+                let tickets = this.listen(workers.count, workers.threads)?;
+                for (index, (child, stdin)) in spawn::spawn(&workers, &tickets).await?.into_iter().enumerate() {
+                    this.tasks.spawn(watch(index, child, this.tell.clone()));
+                    this.locals[index]._stdin = Some(stdin);
+                }
+                workers.count as usize
+            }
+        };
+        if count == 0 {
+            return Err(StartError::NoWorkers);
+        }
+        this.join(count).await?;
+        Ok(this)
     }
 
     /// Gives `pack` to every worker and returns when all hold it, checked; later frames render it.
+    ///
+    /// The time that this took becomes [`Timings::send_scene`](crate::Timings::send_scene) of later frames.
     pub async fn load(
         &mut self,
         pack: &Pack,
-        progress: impl FnMut(Progress<'_>),
+        mut progress: impl FnMut(Progress<'_>),
     ) -> Result<Duration, LoadError> {
-        let _ = (pack, progress);
-        Err(LoadError::AllLost { last: String::new() })
+        let begun = Instant::now();
+        let id = PackId(pack.id().0);
+        let length = pack.bytes().len() as u64;
+        self.pack = Some(id);
+        self.counters.pack.store(0, Ordering::Relaxed);
+        self.coordinator.load(id, length, self.now());
+        loop {
+            for event in self.carry_out(Some(pack)) {
+                if let Event::PackRejected(worker, reason) = event {
+                    return Err(LoadError::Rejected { worker: self.describe(worker), reason });
+                }
+                self.report(event, &mut progress);
+            }
+            let joined = self.coordinator.joined().count();
+            if joined == 0 {
+                return Err(LoadError::AllLost { last: self.last_lost.clone() });
+            }
+            let bytes = self.counters.pack.load(Ordering::Relaxed);
+            progress(Progress::Sent { bytes, total: length * joined as u64 });
+            if self.coordinator.holders().count() == joined {
+                self.send_scene = begun.elapsed();
+                return Ok(self.send_scene);
+            }
+            self.wait().await;
+        }
     }
 
     /// Renders one frame of the loaded pack. Workers lost on the way are replaced by the others.
     pub async fn render(
         &mut self,
         job: &FrameJob,
-        progress: impl FnMut(Progress<'_>),
+        mut progress: impl FnMut(Progress<'_>),
     ) -> Result<FrameResult, RenderError> {
-        let _ = (job, progress);
-        Err(RenderError::NoPack)
+        let pack = self.pack.ok_or(RenderError::NoPack)?;
+        self.coordinator.begin(job, self.now())?;
+        loop {
+            for event in self.carry_out(None) {
+                self.report(event, &mut progress);
+            }
+            match self.coordinator.status() {
+                FrameStatus::Pending => self.wait().await,
+                FrameStatus::Failed { done, total } => {
+                    self.coordinator.finish();
+                    return Err(RenderError::AllLost { done, total, last: self.last_lost.clone() });
+                }
+                FrameStatus::Done => {
+                    if let Some(outcome) = self.coordinator.finish() {
+                        self.carry_out(None);
+                        return Ok(self.result(pack, outcome));
+                    }
+                }
+            }
+        }
+    }
+
+    /// Workers that have joined and are not gone.
+    pub fn workers(&self) -> usize {
+        self.coordinator.joined().count()
     }
 
     /// Dismisses the workers and waits until local processes have ended (they are killed after two seconds).
-    pub async fn stop(self) {}
+    pub async fn stop(mut self) {
+        const PATIENCE: Duration = Duration::from_secs(2);
+        self.coordinator.dismiss(self.now());
+        self.carry_out(None);
+        while self.farewells.join_next().await.is_some() {}
+        self.locals.clear();
+        if let Some(endpoint) = self.endpoint.take() {
+            // Ends the listener's task too; what remains of `tasks` are the processes.
+            endpoint.close(VarInt::from_u32(AbortCode::Done.number()), b"");
+            let _ = timeout(PATIENCE, endpoint.wait_idle()).await;
+        }
+        // The processes' tasks must find room to tell.
+        self.inputs.close();
+        let _ = timeout(PATIENCE, async { while self.tasks.join_next().await.is_some() {} }).await;
+        self.tasks.shutdown().await;
+    }
+
+    fn now(&self) -> Duration {
+        self.begun.elapsed()
+    }
+
+    fn link(&mut self, link: Link) -> WorkerId {
+        let worker = self.coordinator.connected(self.now());
+        self.lines.push(Line::start(worker, link, &self.tell, &self.counters));
+        worker
+    }
+
+    /// Opens the endpoint; tickets for `count` workers that may come to it.
+    fn listen(&mut self, count: u32, threads: Option<u32>) -> Result<Vec<LocalTicket>, StartError> {
+        let authority = Authority::new().map_err(|e| StartError::Endpoint(e.to_string()))?;
+        let endpoint = net::listen(&authority).map_err(|e| StartError::Endpoint(e.to_string()))?;
+        let address = endpoint.local_addr().map_err(|e| StartError::Endpoint(e.to_string()))?;
+        self.tasks.spawn(accept_all(endpoint.clone(), self.tell.clone()));
+        self.endpoint = Some(endpoint);
+        let tickets = spawn::tickets(count, threads, &authority, address)?;
+        self.locals.extend(tickets.iter().map(|ticket| Local {
+            name: ticket.name.clone(),
+            certificate: ticket.certificate.clone(),
+            worker: None,
+            _stdin: None,
+        }));
+        Ok(tickets)
+    }
+
+    /// Waits until `count` workers have joined.
+    async fn join(&mut self, count: usize) -> Result<(), StartError> {
+        let deadline = Instant::now() + Self::JOIN_TIMEOUT;
+        loop {
+            for event in self.carry_out(None) {
+                if let Event::Lost(worker, reason) = event {
+                    return Err(StartError::Worker { worker: self.describe(worker), reason });
+                }
+            }
+            if self.coordinator.joined().count() == count {
+                return Ok(());
+            }
+            match timeout_at(deadline, self.inputs.recv()).await {
+                Ok(Some(Input::Exited(index, reason))) => {
+                    let worker = self.locals[index].name.clone();
+                    return Err(StartError::Worker { worker, reason });
+                }
+                Ok(Some(input)) => self.take(input),
+                Ok(None) | Err(_) => {
+                    let missing = self.locals.iter().find(|local| local.worker.is_none());
+                    let worker = missing.map_or("a worker".into(), |local| local.name.clone());
+                    let reason = format!("no word from it in {} s", Self::JOIN_TIMEOUT.as_secs());
+                    return Err(StartError::Worker { worker, reason });
+                }
+            }
+            self.coordinator.tick(self.now());
+        }
+    }
+
+    /// Waits for the next input, or deadline, and takes it.
+    async fn wait(&mut self) {
+        let next = match self.coordinator.deadline() {
+            Some(deadline) => timeout_at(self.begun + deadline, self.inputs.recv()).await.ok().flatten(),
+            None => self.inputs.recv().await,
+        };
+        // Inputs that wait come before a deadline that has passed meanwhile: they may meet it.
+        match next {
+            Some(input) => self.take(input),
+            None => self.coordinator.tick(self.now()),
+        }
+    }
+
+    fn take(&mut self, input: Input) {
+        let now = self.now();
+        match input {
+            Input::Linked(certificate, link) => {
+                let known = |local: &Local| local.certificate == certificate && local.worker.is_none();
+                match self.locals.iter().position(known) {
+                    Some(index) => self.locals[index].worker = Some(self.link(*link)),
+                    None => tracing::warn!("{} connects with a certificate that is in use", link.peer),
+                }
+            }
+            Input::NotLinked(reason) => tracing::warn!("a connection was not made: {reason}"),
+            Input::Message(worker, message) => self.coordinator.message(worker, message, now),
+            Input::Tile(worker, Tile { frame, entry, pixels, wire_bytes }) => {
+                self.coordinator.tile(worker, frame, &entry, &pixels, wire_bytes, now);
+            }
+            Input::PackSent => {}
+            Input::Broken(worker, PipeError::Malformed(detail)) => {
+                self.coordinator.abort(worker, AbortCode::Malformed, detail, now);
+            }
+            Input::Broken(worker, PipeError::Io(e)) => {
+                let reason = format!("the connection is lost: {e}");
+                self.coordinator.lost(worker, AbortCode::Done, reason, now);
+            }
+            Input::Exited(index, reason) => {
+                if let Some(worker) = self.locals[index].worker {
+                    self.coordinator.lost(worker, AbortCode::Done, reason, now);
+                }
+            }
+        }
+    }
+
+    /// Does what the coordinator wants, and hands on its events. `pack` is the one on offer while it is loaded.
+    fn carry_out(&mut self, pack: Option<&Pack>) -> Vec<Event> {
+        let mut events = Vec::new();
+        while let Some(output) = self.coordinator.poll() {
+            match output {
+                Output::Send(worker, message) => self.lines[worker.0 as usize].send(message),
+                Output::SendPack(worker, id) => {
+                    if let Some(pack) = pack.filter(|pack| pack.id().0 == id.0) {
+                        self.lines[worker.0 as usize].send_pack(pack.clone());
+                    }
+                }
+                Output::Close(worker, code) => {
+                    let farewell = self.lines[worker.0 as usize].close(code);
+                    self.farewells.spawn(farewell);
+                }
+                Output::Event(event) => events.push(event),
+            }
+        }
+        events
+    }
+
+    fn report(&mut self, event: Event, progress: &mut impl FnMut(Progress<'_>)) {
+        match event {
+            Event::Tile { done, total } => progress(Progress::Tiles { done, total }),
+            Event::Lost(worker, reason) => {
+                let name = self.describe(worker);
+                tracing::warn!("{name} is lost: {reason}");
+                progress(Progress::WorkerLost { name: &name, reason: &reason });
+                self.last_lost = format!("{name}: {reason}");
+            }
+            Event::Joined(_) | Event::PackHeld(_) | Event::PackRejected(..) => {}
+        }
+    }
+
+    /// A worker's name; that of its process, or where it is, if it has not joined or is gone.
+    fn describe(&self, worker: WorkerId) -> String {
+        let local = self.locals.iter().find(|local| local.worker == Some(worker)).map(|l| l.name.as_str());
+        let name = self.coordinator.name(worker).or(local);
+        name.map_or_else(|| format!("{worker} ({})", self.lines[worker.0 as usize].peer), str::to_string)
+    }
+
+    fn result(&self, pack: PackId, outcome: Outcome) -> FrameResult {
+        let udp = self.lines.iter().map(Line::udp_bytes).fold((0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
+        FrameResult {
+            image: outcome.image,
+            pack: tessera_pack::PackId(pack.0),
+            numeric_class: self.coordinator.numeric_class().unwrap_or_default().into(),
+            workers: outcome.workers,
+            timings: Timings { send_scene: self.send_scene, ..outcome.timings },
+            traffic: Traffic {
+                sent: self.counters.sent.load(Ordering::Relaxed),
+                received: self.counters.received.load(Ordering::Relaxed),
+                udp_sent: udp.0,
+                udp_received: udp.1,
+            },
+            rays: outcome.rays,
+            dropped_tiles: outcome.dropped_tiles,
+        }
+    }
+}
+
+/// Tells when a process has ended; dropping the future kills it.
+async fn watch(index: usize, mut child: Child, tell: mpsc::Sender<Input>) {
+    let status = match child.wait().await {
+        Ok(status) => format!("its process has ended ({status})"),
+        Err(e) => format!("its process cannot be watched ({e})"),
+    };
+    let _ = tell.send(Input::Exited(index, status)).await;
+}
+
+/// Completes connections until the endpoint is closed.
+async fn accept_all(endpoint: quinn::Endpoint, tell: mpsc::Sender<Input>) {
+    let mut handshakes = JoinSet::new();
+    while let Some(incoming) = endpoint.accept().await {
+        // Those that are over.
+        while handshakes.try_join_next().is_some() {}
+        let tell = tell.clone();
+        handshakes.spawn(async move {
+            let input = match net::accept(incoming).await {
+                Ok((certificate, link)) => Input::Linked(certificate.to_vec(), Box::new(link)),
+                Err(reason) => Input::NotLinked(reason),
+            };
+            let _ = tell.send(input).await;
+        });
+    }
 }
 
 /// Why there is no cluster.

@@ -163,10 +163,13 @@ impl Coordinator {
         wire_bytes: u64,
         now: Duration,
     ) {
-        let Some(active) = &mut self.frame else { return self.out_of_frame(worker, frame, now) };
-        if frame != active.id {
-            return self.out_of_frame(worker, frame, now);
+        if self.name(worker).is_none() {
+            // Gone, perhaps for good reason; its tiles are with others.
+            return;
         }
+        let Some(active) = self.frame.as_mut().filter(|active| active.id == frame) else {
+            return self.out_of_frame(worker, frame, now);
+        };
         match active.tile(worker, entry, pixels, wire_bytes, now) {
             Ok(true) => {
                 let (done, total) = (active.dispatch.done(), active.dispatch.total());
@@ -180,6 +183,11 @@ impl Coordinator {
     /// The connection of `worker` broke, its process ended, or what it sent does not decode.
     pub fn lost(&mut self, worker: WorkerId, code: AbortCode, reason: String, now: Duration) {
         self.with_session(worker, now, |session| session.end(code, reason));
+    }
+
+    /// What `worker` sends is wrong: it is told so, and cut off.
+    pub fn abort(&mut self, worker: WorkerId, code: AbortCode, detail: String, now: Duration) {
+        self.with_session(worker, now, |session| session.abort(code, detail));
     }
 
     /// Time has passed.
@@ -259,10 +267,6 @@ impl Coordinator {
 
     fn ids(&self) -> impl Iterator<Item = WorkerId> + use<> {
         (0..self.sessions.len() as u32).map(WorkerId)
-    }
-
-    fn abort(&mut self, worker: WorkerId, code: AbortCode, detail: String, now: Duration) {
-        self.with_session(worker, now, |session| session.abort(code, detail));
     }
 
     fn assign(&mut self, assignments: Vec<Assignment>) {

@@ -9,10 +9,13 @@ pub mod coordinator;
 pub mod dispatch;
 mod frame;
 pub mod image;
+mod line;
+mod net;
 pub mod output;
 pub mod prepare;
 pub mod report;
 pub mod session;
+mod spawn;
 mod transport;
 
 pub use cluster::{Cluster, ClusterConfig, LoadError, LocalWorkers, RenderError, StartError, Workers};

@@ -1,6 +1,9 @@
-//! A connection to one worker as four byte pipes, whatever carries them.
+//! A connection to one worker as four byte pipes, whatever carries them. The worker has the same few lines for reading and writing:
+//! the rooms under `shared/` know no runtime.
 
-use tokio::io::{AsyncRead, AsyncWrite};
+use std::io;
+use tessera_wire::codec::{self, CodecError, Message, PREFIX_BYTES};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 
 /// A pipe that is read.
 pub type Reader = Box<dyn AsyncRead + Send + Unpin>;
@@ -24,6 +27,8 @@ pub struct Link {
     pub(crate) pipes: Pipes,
     /// For messages: an address, or `in this process`.
     pub(crate) peer: String,
+    /// What carries the pipes, to be closed and asked for its figures.
+    pub(crate) connection: Option<quinn::Connection>,
 }
 
 impl Link {
@@ -44,7 +49,102 @@ impl Link {
                 bulk_out: Box::new(bulk_out),
             }
         };
-        let here = Self { pipes: pipes(control_here, bulk_here), peer: "in this process".into() };
-        (here, pipes(control_there, bulk_there))
+        let here = pipes(control_here, bulk_here);
+        (Self { pipes: here, peer: "in this process".into(), connection: None }, pipes(control_there, bulk_there))
+    }
+}
+
+/// Why nothing more can be read.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum PipeError {
+    /// The connection broke, or ended in the middle of something.
+    #[error("{0}")]
+    Io(#[from] io::Error),
+    /// The peer sent what is not a message, or one with a number out of range.
+    #[error("{0}")]
+    Malformed(String),
+}
+
+impl From<CodecError> for PipeError {
+    fn from(e: CodecError) -> Self {
+        Self::Malformed(e.to_string())
+    }
+}
+
+/// The next message of at most `limit` bytes, and the bytes it took; `None` at the end of the pipe.
+pub(crate) async fn read_message<M: Message>(
+    pipe: &mut Reader,
+    limit: usize,
+) -> Result<Option<(M, u64)>, PipeError> {
+    let mut prefix = [0; PREFIX_BYTES];
+    // An end before the first byte of a prefix is the end of the pipe; later it is an error.
+    if pipe.read(&mut prefix[..1]).await? == 0 {
+        return Ok(None);
+    }
+    pipe.read_exact(&mut prefix[1..]).await?;
+    let body = read_raw(pipe, codec::body_length(prefix, limit)?).await?;
+    Ok(Some((codec::decode(&body)?, (PREFIX_BYTES + body.len()) as u64)))
+}
+
+/// `length` raw bytes. Memory is taken as they come, so that a length alone costs nothing.
+pub(crate) async fn read_raw(pipe: &mut Reader, length: usize) -> io::Result<Vec<u8>> {
+    const STEP: usize = 1 << 20;
+    let mut bytes = Vec::new();
+    while bytes.len() < length {
+        let filled = bytes.len();
+        bytes.resize(length.min(filled + STEP), 0);
+        pipe.read_exact(&mut bytes[filled..]).await?;
+    }
+    Ok(bytes)
+}
+
+/// Writes a message; the bytes it took.
+pub(crate) async fn write_message<M: Message>(pipe: &mut Writer, message: &M) -> Result<u64, PipeError> {
+    let bytes = codec::encode(message)?;
+    pipe.write_all(&bytes).await?;
+    Ok(bytes.len() as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tessera_wire::{ToMaster, limits};
+
+    #[tokio::test]
+    async fn what_is_written_is_read_and_an_oversized_frame_is_not() {
+        let (link, mut there) = Link::in_memory();
+        let mut here = link.pipes.control_in;
+        let sent = write_message(&mut there.control_out, &ToMaster::Leave).await.unwrap();
+        let read = read_message::<ToMaster>(&mut here, limits::HELLO_BYTES).await.unwrap();
+        assert_eq!(read, Some((ToMaster::Leave, sent)));
+
+        there.control_out.write_all(&(limits::HELLO_BYTES as u32 + 1).to_le_bytes()).await.unwrap();
+        let refused = read_message::<ToMaster>(&mut here, limits::HELLO_BYTES).await;
+        assert!(matches!(refused, Err(PipeError::Malformed(_))), "{refused:?}");
+    }
+
+    #[tokio::test]
+    async fn an_end_between_messages_is_none_and_within_one_an_error() {
+        let (link, there) = Link::in_memory();
+        let mut here = link.pipes.control_in;
+        drop(there);
+        assert!(matches!(read_message::<ToMaster>(&mut here, 100).await, Ok(None)));
+
+        let (link, mut there) = Link::in_memory();
+        let mut here = link.pipes.control_in;
+        there.control_out.write_all(&[5, 0, 0, 0, 1]).await.unwrap();
+        drop(there);
+        assert!(matches!(read_message::<ToMaster>(&mut here, 100).await, Err(PipeError::Io(_))));
+    }
+
+    #[tokio::test]
+    async fn raw_bytes_longer_than_a_step_arrive_whole() {
+        let (link, mut there) = Link::in_memory();
+        let bytes: Vec<u8> = (0..3_000_000u32).map(|i| i as u8).collect();
+        let expected = bytes.clone();
+        let write = tokio::spawn(async move { there.bulk_out.write_all(&bytes).await });
+        let mut here = link.pipes.bulk_in;
+        assert_eq!(read_raw(&mut here, expected.len()).await.unwrap(), expected);
+        write.await.unwrap().unwrap();
     }
 }

@@ -12,6 +12,6 @@ mod render;
 mod serve;
 pub mod session;
 
-pub use local::run_local;
+pub use local::{run_local, serve_ticket};
 pub use serve::{WorkerConfig, WorkerError, WorkerPipes, serve, serve_until};
 pub use tessera_whitted::NUMERIC_CLASS;

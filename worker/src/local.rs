@@ -12,12 +12,24 @@ use tokio::{sync::oneshot, time::timeout};
 /// input closes. Needs a tokio runtime with I/O and time. Print its error on stderr and exit with 1.
 pub async fn run_local() -> Result<(), WorkerError> {
     let (ticket, master_gone) = read_ticket().await?;
-    let connection = connect(&ticket).await?;
-    let config = WorkerConfig { name: ticket.name, threads: ticket.threads, memory: None };
-    let served = tokio::select! {
-        served = serve_until(connection.pipes, config, terminated()) => served,
-        _ = master_gone => Ok(()),
+    let stop = async {
+        tokio::select! {
+            () = terminated() => {}
+            _ = master_gone => {}
+        }
     };
+    serve_ticket(ticket, stop).await
+}
+
+/// Connects to the master that wrote `ticket` and serves it until it dismisses the worker, or until `stop` is ready.
+pub async fn serve_ticket(ticket: LocalTicket, stop: impl Future<Output = ()>) -> Result<(), WorkerError> {
+    tokio::pin!(stop);
+    let connection = tokio::select! {
+        connection = connect(&ticket) => connection?,
+        () = &mut stop => return Ok(()),
+    };
+    let config = WorkerConfig { name: ticket.name, threads: ticket.threads, memory: None };
+    let served = serve_until(connection.pipes, config, stop).await;
     connection.closer.close(served.is_ok()).await;
     served
 }

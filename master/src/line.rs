@@ -1,0 +1,250 @@
+//! The tasks that carry one worker's four pipes. They wait for the peer, so that the cluster never does.
+
+use crate::transport::{Link, PipeError, Reader, Writer, read_message, read_raw, write_message};
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+use tessera_pack::Pack;
+use tessera_wire::{
+    AbortCode, BatchHeader, FrameId, PackChunk, PackId, TileEntry, ToMaster, ToWorker, WorkerId, limits,
+};
+use tokio::{
+    io::AsyncWriteExt,
+    sync::mpsc,
+    task::{JoinHandle, JoinSet},
+    time::timeout,
+};
+
+/// What the tasks tell the cluster.
+pub(crate) enum Input {
+    /// A connection was made with this client certificate.
+    Linked(Vec<u8>, Box<Link>),
+    /// A connection attempt failed.
+    NotLinked(String),
+    /// A message came.
+    Message(WorkerId, ToMaster),
+    /// A tile came.
+    Tile(WorkerId, Tile),
+    /// More bytes of a pack are on their way (see [`Counters::pack`]).
+    PackSent,
+    /// A pipe is at its end.
+    Broken(WorkerId, PipeError),
+    /// A local process has ended.
+    Exited(usize, String),
+}
+
+/// A tile as it came.
+pub(crate) struct Tile {
+    pub(crate) frame: FrameId,
+    pub(crate) entry: TileEntry,
+    pub(crate) pixels: Vec<u8>,
+    /// With its batch's header, if it is the first of it.
+    pub(crate) wire_bytes: u64,
+}
+
+/// Bytes over all lines.
+#[derive(Default)]
+pub(crate) struct Counters {
+    pub(crate) sent: AtomicU64,
+    pub(crate) received: AtomicU64,
+    /// Of `sent`, raw bytes of packs.
+    pub(crate) pack: AtomicU64,
+}
+
+/// A connected worker.
+pub(crate) struct Line {
+    /// `None` once closed.
+    control: Option<mpsc::UnboundedSender<ToWorker>>,
+    packs: mpsc::UnboundedSender<Pack>,
+    control_writer: Option<JoinHandle<()>>,
+    connection: Option<quinn::Connection>,
+    pub(crate) peer: String,
+    /// The other tasks.
+    tasks: JoinSet<()>,
+}
+
+impl Line {
+    /// Starts the tasks.
+    pub(crate) fn start(
+        worker: WorkerId,
+        link: Link,
+        tell: &mpsc::Sender<Input>,
+        counters: &Arc<Counters>,
+    ) -> Self {
+        let Link { pipes, peer, connection } = link;
+        let (control, messages) = mpsc::unbounded_channel();
+        let (packs, wanted) = mpsc::unbounded_channel();
+        let mut tasks = JoinSet::new();
+        tasks.spawn(read_control(worker, pipes.control_in, tell.clone(), counters.clone()));
+        tasks.spawn(read_bulk(worker, pipes.bulk_in, tell.clone(), counters.clone()));
+        tasks.spawn(write_packs(worker, pipes.bulk_out, wanted, tell.clone(), counters.clone()));
+        let writer = write_control(pipes.control_out, messages, counters.clone());
+        let control_writer = Some(tokio::spawn(writer));
+        Self { control: Some(control), packs, control_writer, connection, peer, tasks }
+    }
+
+    /// Queues a message. A broken line has told so, and loses it.
+    pub(crate) fn send(&self, message: ToWorker) {
+        if let Some(control) = &self.control {
+            let _ = control.send(message);
+        }
+    }
+
+    /// Queues a pack.
+    pub(crate) fn send_pack(&self, pack: Pack) {
+        let _ = self.packs.send(pack);
+    }
+
+    /// Bytes of UDP payload sent and received.
+    pub(crate) fn udp_bytes(&self) -> (u64, u64) {
+        self.connection.as_ref().map_or((0, 0), |connection| {
+            let stats = connection.stats();
+            (stats.udp_tx.bytes, stats.udp_rx.bytes)
+        })
+    }
+
+    /// Takes no more messages; the future sees the queued ones off and closes the connection.
+    pub(crate) fn close(&mut self, code: AbortCode) -> impl Future<Output = ()> + Send + 'static {
+        /// How long the worker may take to read its last messages and close from its side.
+        const FAREWELL: Duration = Duration::from_secs(1);
+        self.control = None;
+        self.tasks.abort_all();
+        let (writer, connection) = (self.control_writer.take(), self.connection.clone());
+        async move {
+            let see_off = async {
+                if let Some(writer) = writer {
+                    let _ = writer.await;
+                }
+                if let Some(connection) = &connection {
+                    connection.closed().await;
+                }
+            };
+            let _ = timeout(FAREWELL, see_off).await;
+            if let Some(connection) = connection {
+                connection.close(quinn::VarInt::from_u32(code.number()), b"");
+            }
+        }
+    }
+}
+
+async fn read_control(
+    worker: WorkerId,
+    mut pipe: Reader,
+    tell: mpsc::Sender<Input>,
+    counters: Arc<Counters>,
+) {
+    // Nobody is trusted with more before the first message is read.
+    let mut limit = limits::HELLO_BYTES;
+    loop {
+        let input = match read_message::<ToMaster>(&mut pipe, limit).await {
+            Ok(Some((message, bytes))) => {
+                counters.received.fetch_add(bytes, Ordering::Relaxed);
+                Input::Message(worker, message)
+            }
+            Ok(None) => Input::Broken(worker, ended()),
+            Err(e) => Input::Broken(worker, e),
+        };
+        limit = limits::CONTROL_BYTES;
+        let is_last = matches!(input, Input::Broken(..));
+        if tell.send(input).await.is_err() || is_last {
+            return;
+        }
+    }
+}
+
+fn ended() -> PipeError {
+    PipeError::Io(std::io::Error::new(std::io::ErrorKind::UnexpectedEof, "it has closed the connection"))
+}
+
+async fn write_control(
+    mut pipe: Writer,
+    mut messages: mpsc::UnboundedReceiver<ToWorker>,
+    counters: Arc<Counters>,
+) {
+    while let Some(message) = messages.recv().await {
+        match write_message(&mut pipe, &message).await {
+            Ok(bytes) => counters.sent.fetch_add(bytes, Ordering::Relaxed),
+            // A broken pipe shows in `read_control` as well.
+            Err(e) => return tracing::debug!("control pipe: {e}"),
+        };
+    }
+    let _ = pipe.shutdown().await;
+}
+
+async fn read_bulk(worker: WorkerId, mut pipe: Reader, tell: mpsc::Sender<Input>, counters: Arc<Counters>) {
+    loop {
+        match read_batch(worker, &mut pipe, &tell, &counters).await {
+            Ok(true) => {}
+            // The control pipe tells of a connection that ends; this one alone must not.
+            Ok(false) => return,
+            Err(e) => {
+                let _ = tell.send(Input::Broken(worker, e)).await;
+                return;
+            }
+        }
+    }
+}
+
+/// Hands on the next batch, tile by tile; `false` at the end of the pipe, or when nobody listens.
+async fn read_batch(
+    worker: WorkerId,
+    pipe: &mut Reader,
+    tell: &mpsc::Sender<Input>,
+    counters: &Counters,
+) -> Result<bool, PipeError> {
+    let Some((header, header_bytes)) = read_message::<BatchHeader>(pipe, limits::HEADER_BYTES).await? else {
+        return Ok(false);
+    };
+    header.check().map_err(PipeError::Malformed)?;
+    counters.received.fetch_add(header_bytes, Ordering::Relaxed);
+    let mut header_share = header_bytes;
+    for entry in header.tiles {
+        let pixels = read_raw(pipe, entry.length as usize).await?;
+        counters.received.fetch_add(pixels.len() as u64, Ordering::Relaxed);
+        let wire_bytes = std::mem::take(&mut header_share) + pixels.len() as u64;
+        let tile = Tile { frame: header.frame, entry, pixels, wire_bytes };
+        if tell.send(Input::Tile(worker, tile)).await.is_err() {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+async fn write_packs(
+    worker: WorkerId,
+    mut pipe: Writer,
+    mut wanted: mpsc::UnboundedReceiver<Pack>,
+    tell: mpsc::Sender<Input>,
+    counters: Arc<Counters>,
+) {
+    while let Some(pack) = wanted.recv().await {
+        if let Err(e) = write_pack(&mut pipe, &pack, &tell, &counters).await {
+            let _ = tell.send(Input::Broken(worker, e)).await;
+            return;
+        }
+    }
+}
+
+async fn write_pack(
+    pipe: &mut Writer,
+    pack: &Pack,
+    tell: &mpsc::Sender<Input>,
+    counters: &Counters,
+) -> Result<(), PipeError> {
+    let mut offset = 0;
+    for bytes in pack.bytes().chunks(limits::CHUNK_BYTES as usize) {
+        let chunk = PackChunk { pack: PackId(pack.id().0), offset, length: bytes.len() as u32 };
+        let header_bytes = write_message(pipe, &chunk).await?;
+        pipe.write_all(bytes).await?;
+        offset += bytes.len() as u64;
+        counters.sent.fetch_add(header_bytes + bytes.len() as u64, Ordering::Relaxed);
+        counters.pack.fetch_add(bytes.len() as u64, Ordering::Relaxed);
+        // Only a progress bar misses it if the queue is full.
+        let _ = tell.try_send(Input::PackSent);
+    }
+    Ok(pipe.flush().await?)
+}

@@ -1,0 +1,67 @@
+//! Worker processes on this machine.
+
+use crate::{
+    cluster::{LocalWorkers, StartError},
+    net::{Authority, Identity},
+};
+use std::{net::SocketAddr, process::Stdio, thread::available_parallelism};
+use tessera_wire::{LocalTicket, codec};
+use tokio::{
+    io::AsyncWriteExt,
+    process::{Child, ChildStdin, Command},
+};
+
+/// What `count` workers need to join, by the name `local-0` and so on. `threads` as in [`LocalWorkers`].
+pub(crate) fn tickets(
+    count: u32,
+    threads: Option<u32>,
+    authority: &Authority,
+    address: SocketAddr,
+) -> Result<Vec<LocalTicket>, StartError> {
+    let ticket = |index| {
+        let name = format!("local-{index}");
+        let Identity { certificate, key } =
+            authority.worker(&name).map_err(|e| StartError::Endpoint(e.to_string()))?;
+        Ok(LocalTicket {
+            address: address.to_string(),
+            name,
+            threads: threads.unwrap_or_else(|| fair_share(count)),
+            authority: authority.certificate().to_vec(),
+            certificate: certificate.to_vec(),
+            key,
+        })
+    };
+    (0..count).map(ticket).collect()
+}
+
+/// Starts a process for each ticket and hands it over through standard input, which must then be kept open: its end is the worker's.
+/// Dropping a child kills it.
+pub(crate) async fn spawn(
+    workers: &LocalWorkers,
+    tickets: &[LocalTicket],
+) -> Result<Vec<(Child, ChildStdin)>, StartError> {
+    let program = workers.program.display().to_string();
+    let failed = |source| StartError::Spawn { program: program.clone(), source };
+    let mut started = Vec::new();
+    for ticket in tickets {
+        let mut command = Command::new(&workers.program);
+        command.args(&workers.args).stdin(Stdio::piped()).stdout(Stdio::null()).kill_on_drop(true);
+        let mut child = command.spawn().map_err(failed)?;
+        let bytes = codec::encode(ticket).map_err(|e| StartError::Endpoint(e.to_string()))?;
+        let Some(mut stdin) = child.stdin.take() else {
+            return Err(StartError::Endpoint("a child process without standard input".into()));
+        };
+        // A process that has ended already is noticed, with its status, by whoever waits for it.
+        if let Err(e) = stdin.write_all(&bytes).await {
+            tracing::debug!("{} does not read its ticket: {e}", ticket.name);
+        }
+        started.push((child, stdin));
+    }
+    Ok(started)
+}
+
+/// The machine's cores shared out, at least one each.
+fn fair_share(workers: u32) -> u32 {
+    let cores = available_parallelism().map_or(1, |n| n.get() as u32);
+    (cores / workers.max(1)).max(1)
+}
