@@ -115,12 +115,14 @@ pub fn build_pack(mut input: PackInput, options: &PackOptions) -> Result<(Pack, 
     sections.faces = std::mem::take(&mut input.triangles);
     sections.material_runs = material_runs;
     sections.id_runs = id_runs;
-    let PackInput { materials, textures, mut lights, light_positions, ambient, environment, .. } = input;
+    let PackInput { materials, textures, mut lights, light_positions, ambient, environment, cameras, .. } =
+        input;
     sections.materials = materials;
     sections.environment =
         (environment.kind != EnvironmentKind::None as u32).then_some(environment).into_iter().collect();
     place_lights(&mut lights, &light_positions, &frame)?;
     sections.lights = lights;
+    sections.cameras = cameras;
 
     // Build the tree on what the pack holds, not on what the input held.
     let mut head = Head {

@@ -4,7 +4,8 @@ use crate::error::BuildError;
 use crate::input::PackInput;
 use crate::records::{NO_TEXTURE, Texture};
 use crate::rules::{
-    MAX_TEXTURE_SIDE, ambient_fault, environment_fault, light_fault, material_fault, texture_fault,
+    MAX_TEXTURE_SIDE, ambient_fault, camera_fault, environment_fault, light_fault, material_fault,
+    texture_fault,
 };
 
 /// Checks everything that packing relies on; faults of single triangles and vertices are not errors, they are dropped and
@@ -38,6 +39,7 @@ pub(crate) fn check_input(input: &PackInput) -> Result<(), BuildError> {
     let textures = input.textures.len();
     first_fault("material", input.materials.iter().map(|m| material_fault(m, textures)))?;
     first_fault("light", input.lights.iter().map(light_fault))?;
+    first_fault("camera", input.cameras.iter().map(camera_fault))?;
     if let Some(i) = input.light_positions.iter().position(|p| p.iter().any(|x| !x.is_finite())) {
         return fail(format!("light {i}: position is not finite"));
     }

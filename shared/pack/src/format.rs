@@ -91,6 +91,8 @@ sections! {
     Lights = "light",
     /// One [`crate::Environment`]; absent when a miss is black and transparent.
     Environment = "environ",
+    /// [`crate::Camera`] each, in world space; the first is the default.
+    Cameras = "camera",
 }
 
 /// A line of the section table.

@@ -1,6 +1,6 @@
 //! Plain arrays from which a pack is made.
 
-use crate::records::{Ambient, Environment, Light, Material, Wrap};
+use crate::records::{Ambient, Camera, Environment, Light, Material, Wrap};
 
 /// A flattened scene: world-space triangles and everything they refer to.
 ///
@@ -28,6 +28,8 @@ pub struct PackInput {
     /// World positions of the lights in full precision; when empty, those in `lights` are used. At large offsets from the
     /// origin an `f32` position is too coarse.
     pub light_positions: Vec<[f64; 3]>,
+    /// Named views in world space; the first is the default.
+    pub cameras: Vec<Camera>,
     /// Light that reaches every surface alike.
     pub ambient: Ambient,
     /// What a ray sees that misses everything.

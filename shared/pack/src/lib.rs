@@ -22,8 +22,8 @@ pub use build::{PackOptions, PackStats, Plain, build_pack};
 pub use error::{BuildError, PackError};
 pub use input::{ImageInput, PackInput};
 pub use records::{
-    Ambient, Environment, EnvironmentKind, Light, LightKind, Material, MaterialFlags, NO_TEXTURE, SideUv,
-    Texture, Wrap,
+    Ambient, Camera, Environment, EnvironmentKind, Light, LightKind, Material, MaterialFlags, NO_TEXTURE,
+    SideUv, Texture, Wrap,
 };
 pub use rules::MAX_TEXTURE_SIDE;
 pub use view::{MeshView, Pack, PackId};

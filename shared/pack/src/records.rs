@@ -205,3 +205,81 @@ pub struct SideUv {
 }
 
 const _: () = assert!(size_of::<SideUv>() == 12);
+
+/// A named view in world space. Workers make no use of it; it lets a pack be rendered without the scene that it came from.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Camera {
+    /// Eye position.
+    pub eye: [f64; 3],
+    /// A point on the optical axis.
+    pub target: [f64; 3],
+    /// What points up in the image.
+    pub up: [f64; 3],
+    /// Vertical field of view in degrees, in (0, 180).
+    pub fov_degrees: f64,
+    /// UTF-8 without control characters, at least one character, padded with zeros; see [`Camera::name`].
+    pub name: [u8; 48],
+}
+
+const _: () = assert!(size_of::<Camera>() == 128);
+
+impl Camera {
+    /// The name; `None` when the bytes are none.
+    pub fn name(&self) -> Option<&str> {
+        let length = self.name.iter().position(|&b| b == 0).unwrap_or(self.name.len());
+        let (name, padding) = self.name.split_at(length);
+        let name = std::str::from_utf8(name).ok()?;
+        let usable =
+            !name.is_empty() && !name.chars().any(char::is_control) && padding.iter().all(|&b| b == 0);
+        usable.then_some(name)
+    }
+
+    /// `name` as it is stored: without control characters, cut behind the last whole character that fits, `camera` when nothing
+    /// is left.
+    pub fn encode_name(name: &str) -> [u8; 48] {
+        let mut bytes = [0; 48];
+        let mut length = 0;
+        let mut put = |character: char| {
+            let end = length + character.len_utf8();
+            let Some(place) = bytes.get_mut(length..end) else { return false };
+            character.encode_utf8(place);
+            length = end;
+            true
+        };
+        let mut characters = name.chars().filter(|c| !c.is_control()).peekable();
+        match characters.peek() {
+            Some(_) => characters.all(&mut put),
+            None => "camera".chars().all(&mut put),
+        };
+        bytes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn camera_names_survive_or_are_cut_between_characters() {
+        let stored = |name: &str| {
+            let camera = Camera { name: Camera::encode_name(name), ..Zeroable::zeroed() };
+            camera.name().map(str::to_owned)
+        };
+        assert_eq!(stored("north").as_deref(), Some("north"));
+        assert_eq!(stored("a\u{7}b\n").as_deref(), Some("ab"));
+        assert_eq!(stored("").as_deref(), Some("camera"));
+        assert_eq!(stored(&"x".repeat(48)), Some("x".repeat(48)));
+        assert_eq!(stored(&format!("{}\u{e4}", "x".repeat(47))), Some("x".repeat(47)));
+        let broken = |change: &dyn Fn(&mut [u8; 48])| {
+            let mut camera = Camera { name: Camera::encode_name("abc"), ..Zeroable::zeroed() };
+            change(&mut camera.name);
+            camera.name().is_none()
+        };
+        assert!(!broken(&|_| ()));
+        assert!(broken(&|name| name[0] = 0xff));
+        assert!(broken(&|name| name[0] = 0));
+        assert!(broken(&|name| name[1] = b'\n'));
+        assert!(broken(&|name| name[40] = b'x'));
+    }
+}

@@ -1,7 +1,8 @@
 //! What a record must keep, whether it comes from a scene or from a file.
 
 use crate::records::{
-    Environment, EnvironmentKind, Light, LightKind, Material, MaterialFlags, NO_TEXTURE, Texture, Wrap,
+    Camera, Environment, EnvironmentKind, Light, LightKind, Material, MaterialFlags, NO_TEXTURE, Texture,
+    Wrap,
 };
 
 /// Largest side of a texture: texel coordinates then have 8 bits of `f32` left for interpolation.
@@ -103,6 +104,18 @@ pub(crate) fn environment_fault(e: &Environment, textures: usize) -> Fault {
         Some("a texture that is not used")
     } else if e.reserved != 0 || e.reserved2 != 0 {
         Some("reserved words are not zero")
+    } else {
+        None
+    }
+}
+
+pub(crate) fn camera_fault(c: &Camera) -> Fault {
+    if c.eye.iter().chain(&c.target).chain(&c.up).any(|x| !x.is_finite()) {
+        Some("eye, target or up is not finite")
+    } else if !(c.fov_degrees > 0.0 && c.fov_degrees < 180.0) {
+        Some("fov_degrees is not in (0, 180)")
+    } else if c.name().is_none() {
+        Some("name is not UTF-8 padded with zeros, or has control characters")
     } else {
         None
     }

@@ -4,7 +4,7 @@ use crate::build::{PackStats, Plain};
 use crate::format::{Head, Section};
 use crate::input::PackInput;
 use crate::mesh::Runs;
-use crate::records::{Environment, Light, Material, SideUv, Texture};
+use crate::records::{Camera, Environment, Light, Material, SideUv, Texture};
 use crate::view::cells_are_wide;
 use rayon::prelude::*;
 use tessera_geometry::DVec3;
@@ -36,6 +36,7 @@ pub(crate) struct Sections {
     pub(crate) texels: Vec<u32>,
     pub(crate) lights: Vec<Light>,
     pub(crate) environment: Vec<Environment>,
+    pub(crate) cameras: Vec<Camera>,
 }
 
 impl Sections {
@@ -62,6 +63,7 @@ impl Sections {
             Section::Texels => cast_slice(&self.texels),
             Section::Lights => cast_slice(&self.lights),
             Section::Environment => cast_slice(&self.environment),
+            Section::Cameras => cast_slice(&self.cameras),
         }
     }
 

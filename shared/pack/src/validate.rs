@@ -2,8 +2,10 @@
 
 use crate::error::PackError;
 use crate::format::{Head, Layout, Section};
-use crate::records::{Environment, Light, Material, SideUv, Texture};
-use crate::rules::{ambient_fault, environment_fault, is_unit, light_fault, material_fault, texture_fault};
+use crate::records::{Camera, Environment, Light, Material, SideUv, Texture};
+use crate::rules::{
+    ambient_fault, camera_fault, environment_fault, is_unit, light_fault, material_fault, texture_fault,
+};
 use crate::view::{MeshView, cells_are_wide, narrow_cell, wide_cell};
 use bytemuck::Pod;
 use rayon::prelude::*;
@@ -246,6 +248,7 @@ fn check_records(file: &File<'_>) -> Result<(), PackError> {
     let materials: &[Material] = file.elements(Section::Materials)?;
     check_each(Section::Materials, materials, |_, m| material_fault(m, textures.len()))?;
     check_each(Section::Lights, file.elements::<Light>(Section::Lights)?, |_, l| light_fault(l))?;
+    check_each(Section::Cameras, file.elements::<Camera>(Section::Cameras)?, |_, c| camera_fault(c))?;
     if file.section(Section::Environment).is_empty() {
         return Ok(());
     }

@@ -4,7 +4,7 @@ use crate::buffer::PackBuffer;
 use crate::color::srgb8_to_linear_table;
 use crate::error::PackError;
 use crate::format::{Head, Layout, Section};
-use crate::records::{Ambient, Environment, Light, Material, SideUv, Texture};
+use crate::records::{Ambient, Camera, Environment, Light, Material, SideUv, Texture};
 use crate::validate::validate;
 use bytemuck::Pod;
 use std::fmt;
@@ -133,6 +133,11 @@ impl Pack {
     /// Lights in local space.
     pub fn lights(&self) -> &[Light] {
         self.slice(Section::Lights)
+    }
+
+    /// Named views in world space; the first is the default. A pack may have none.
+    pub fn cameras(&self) -> &[Camera] {
+        self.slice(Section::Cameras)
     }
 
     /// Ambient light.
