@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
-use tessera_geometry::DVec3;
+use tessera_geometry::{CameraPose, DVec3};
 use tessera_kdtree::BuildOptions;
 use tessera_pack::{
     Ambient, Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, MaterialFlags, NO_TEXTURE,
@@ -114,18 +114,25 @@ pub fn prepare(path: &Path, options: &PrepareOptions) -> Result<Prepared, Prepar
 fn read_bundle(path: &Path) -> Result<Prepared, PrepareError> {
     let start = Instant::now();
     let pack = read_pack(path).map_err(|what| PrepareError::Bundle { path: path.to_owned(), what })?;
-    let bounds = pack.tree().bounds;
-    let corner = |local| -> DVec3 { pack.frame().to_world(local) };
-    // A scene without cameras gets one that frames its box, as a source without any does.
-    let mut framing = Scene::default();
-    tessera_scene::scene_file::add_defaults(&mut framing, (corner(bounds.min), corner(bounds.max)));
+    let mut notes =
+        vec!["the bundle is used as it is: what it leaves out was decided when it was packed".into()];
+    let mut cameras: Vec<_> = pack.cameras().iter().map(scene_camera).collect();
+    if cameras.is_empty() {
+        let bounds = pack.tree().bounds;
+        let corner = |local| pack.frame().to_world(local);
+        // As for a source without cameras: one that frames the box.
+        let mut framing = Scene::default();
+        tessera_scene::scene_file::add_defaults(&mut framing, (corner(bounds.min), corner(bounds.max)));
+        cameras = framing.cameras;
+        notes.push("default camera: the bundle has none; one named `default` frames its box".into());
+    }
     Ok(Prepared {
         name: path.display().to_string(),
-        cameras: framing.cameras,
+        cameras,
         source: None,
         left_out: Vec::new(),
         warnings: Vec::new(),
-        notes: vec!["the bundle is used as it is: what it leaves out was decided when it was packed".into()],
+        notes,
         timings: PrepareTimings { read: start.elapsed(), pack: Duration::ZERO },
         pack,
     })
@@ -217,6 +224,7 @@ fn pack_input(scene: &Scene, flat: FlatMesh, selection: &Selection, without: &Wi
         textures: textures.inputs,
         lights: scene.lights.iter().map(pack_light).collect(),
         light_positions: scene.lights.iter().map(|l| l.position.to_array()).collect(),
+        cameras: scene.cameras.iter().map(pack_camera).collect(),
         ambient: Ambient { radiance: scene.ambient },
         environment,
     }
@@ -309,6 +317,23 @@ fn pack_light(light: &tessera_scene::Light) -> Light {
         cos_outer,
         reserved: [0; 3],
     }
+}
+
+fn pack_camera(camera: &Camera) -> tessera_pack::Camera {
+    let CameraPose { eye, target, up, fov_degrees } = camera.pose;
+    tessera_pack::Camera {
+        eye: eye.to_array(),
+        target: target.to_array(),
+        up: up.to_array(),
+        fov_degrees,
+        name: tessera_pack::Camera::encode_name(&camera.name),
+    }
+}
+
+fn scene_camera(camera: &tessera_pack::Camera) -> Camera {
+    let [eye, target, up] = [camera.eye, camera.target, camera.up].map(DVec3::from_array);
+    let pose = CameraPose { eye, target, up, fov_degrees: camera.fov_degrees };
+    Camera { name: camera.name().unwrap_or_default().to_owned(), pose }
 }
 
 fn pack_environment(environment: &tessera_scene::Environment, textures: &mut Textures<'_>) -> Environment {
