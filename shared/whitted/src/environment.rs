@@ -1,9 +1,9 @@
 //! What a ray sees that misses everything.
 
-use crate::texture::{self, Coding, Sampling};
+use crate::texture::{Coding, Images, Sampling};
 use std::f32::consts::{FRAC_1_PI, TAU};
 use tessera_geometry::{Vec2, Vec3};
-use tessera_pack::{Environment, EnvironmentKind, Texture, Wrap};
+use tessera_pack::{Environment, EnvironmentKind, Wrap};
 
 /// An environment ready for look-ups.
 pub(crate) enum Backdrop<'a> {
@@ -12,19 +12,25 @@ pub(crate) enum Backdrop<'a> {
     /// A gradient over the direction's height.
     Gradient { up: Vec3, zenith: Vec3, horizon: Vec3, nadir: Vec3 },
     /// An equirectangular image.
-    Map { up: Vec3, ahead: Vec3, right: Vec3, scale: Vec3, texture: &'a Texture, texels: &'a [u32] },
+    Map { up: Vec3, ahead: Vec3, right: Vec3, scale: Vec3, texture: u32, images: Images<'a> },
 }
 
 impl<'a> Backdrop<'a> {
-    pub(crate) fn new(environment: Environment, textures: &'a [Texture], texels: &'a [u32]) -> Self {
+    pub(crate) fn new(environment: Environment, images: Images<'a>) -> Self {
         let up = Vec3::from(environment.up);
         let (zenith, horizon) = (Vec3::from(environment.zenith), Vec3::from(environment.horizon));
         if environment.kind == EnvironmentKind::Gradient as u32 {
             Self::Gradient { up, zenith, horizon, nadir: environment.nadir.into() }
         } else if environment.kind == EnvironmentKind::Map as u32 {
-            let texture = &textures[environment.texture as usize];
             let ahead = level_ahead(up);
-            Self::Map { up, ahead, right: ahead.cross(up), scale: zenith, texture, texels }
+            Self::Map {
+                up,
+                ahead,
+                right: ahead.cross(up),
+                scale: zenith,
+                texture: environment.texture,
+                images,
+            }
         } else {
             Self::None
         }
@@ -43,7 +49,7 @@ impl<'a> Backdrop<'a> {
                 let height = direction.dot(*up).clamp(-1.0, 1.0);
                 horizon.lerp(if height < 0.0 { *nadir } else { *zenith }, height.abs())
             }
-            Self::Map { up, ahead, right, scale, texture, texels } => {
+            Self::Map { up, ahead, right, scale, texture, images } => {
                 // Longitude runs to the right from the image's centre, latitude down from its top.
                 let height = direction.dot(*up).clamp(-1.0, 1.0);
                 let longitude = libm::atan2f(direction.dot(*right), direction.dot(*ahead));
@@ -51,7 +57,7 @@ impl<'a> Backdrop<'a> {
 
                 // The image closes around the horizon and ends at the poles, whatever its own wrap modes say.
                 let sampling = Sampling { wrap_s: Wrap::Repeat, wrap_t: Wrap::Clamp, nearest: false };
-                texture::lookup(texels, texture, sampling, uv, Coding::Srgb).0 * *scale
+                images.lookup_as(*texture, sampling, uv, Coding::Srgb).0 * *scale
             }
         }
     }
@@ -67,6 +73,8 @@ fn level_ahead(up: Vec3) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tessera_pack::Texture;
+    use tessera_pack::color::srgb8_to_linear_table;
 
     fn assert_near(a: Vec3, b: Vec3) {
         assert!((a - b).abs().max_element() < 1e-5, "{a} is not {b}");
@@ -82,7 +90,7 @@ mod tests {
             up: [0.0, 0.0, 1.0],
             ..Environment::default()
         };
-        let backdrop = Backdrop::new(environment, &[], &[]);
+        let backdrop = Backdrop::new(environment, Images::new(&[], &[]));
         assert_near(backdrop.radiance(Vec3::Z), Vec3::Z);
         assert_near(backdrop.radiance(Vec3::NEG_Z), Vec3::Y);
         assert_near(backdrop.radiance(Vec3::X), Vec3::ONE);
@@ -96,7 +104,7 @@ mod tests {
         let texel = |column: u32, row: u32| if row == 0 { 255 } else { 255 << 8 } | (85 * column) << 16;
         let texels: Vec<u32> = (0..8).map(|i| texel(i % 4, i / 4)).collect();
         let textures = [Texture { first_texel: 0, width: 4, height: 2, sampling: 0 }];
-        let blue = |column: usize| crate::color::SRGB_TO_LINEAR[85 * column];
+        let blue = |column: usize| srgb8_to_linear_table()[85 * column];
         for (up, ahead) in [(Vec3::Y, Vec3::Z), (Vec3::Z, Vec3::NEG_Y), (Vec3::X, Vec3::Z)] {
             let environment = Environment {
                 kind: EnvironmentKind::Map as u32,
@@ -105,7 +113,7 @@ mod tests {
                 up: up.into(),
                 ..Environment::default()
             };
-            let backdrop = Backdrop::new(environment, &textures, &texels);
+            let backdrop = Backdrop::new(environment, Images::new(&textures, &texels));
             let right = ahead.cross(up);
             // Texel centres lie at 45 degrees to the axes.
             let level = |a: Vec3, b: Vec3| backdrop.radiance((a + b).normalize()).z;

@@ -120,3 +120,61 @@ pub(crate) fn transmittance(
     // Behind as many layers as a path may pass there is no light.
     Vec3::ZERO
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lamp(kind: LightKind) -> Light {
+        Light {
+            position: [0.0, 0.0, 10.0],
+            kind: kind as u32,
+            direction: [0.0, 0.0, -1.0],
+            range: f32::INFINITY,
+            intensity: [8.0, 4.0, 2.0],
+            cos_inner: 0.9,
+            cos_outer: 0.5,
+            reserved: [0; 3],
+        }
+    }
+
+    #[test]
+    fn distance_counts_in_world_units() {
+        // 8 local units of half a metre each: 4 metres.
+        let seen = incoming(&lamp(LightKind::Point), Vec3::new(0.0, 0.0, 2.0), 0.5).expect("lit");
+        assert_eq!((seen.direction, seen.irradiance), (Vec3::Z, Vec3::new(0.5, 0.25, 0.125)));
+        assert!(seen.reach < 7.0 && seen.reach > 6.99, "the last voxel is the lamp's own: {}", seen.reach);
+    }
+
+    #[test]
+    fn a_spot_shines_into_its_cone() {
+        let spot = lamp(LightKind::Spot);
+        // On the axis all of it; where the cosine is 0.7, ((0.7 - 0.5) / 0.4)^2 of it; outside nothing.
+        assert_eq!(incoming(&spot, Vec3::ZERO, 1.0).map(|i| i.irradiance.x), Some(0.08));
+        let tangent = (1.0f32 / 0.49 - 1.0).sqrt();
+        let inside = incoming(&spot, Vec3::new(10.0 * tangent, 0.0, 0.0), 1.0).expect("in the cone");
+        assert!((inside.irradiance.x - 0.25 * 8.0 * 0.49 / 100.0).abs() < 1e-6);
+        assert!(incoming(&spot, Vec3::new(30.0, 0.0, 0.0), 1.0).is_none());
+        assert!(incoming(&spot, Vec3::new(0.0, 0.0, 20.0), 1.0).is_none());
+    }
+
+    #[test]
+    fn a_window_ends_at_the_range() {
+        assert_eq!((window(0.0, 2.0), window(2.0, 2.0), window(3.0, 2.0)), (1.0, 0.0, 0.0));
+        assert_eq!((window(1.0, 2.0), window(1e30, f32::INFINITY)), (1.0 - 1.0 / 16.0, 1.0));
+    }
+
+    #[test]
+    fn no_place_makes_a_nan() {
+        let point = lamp(LightKind::Point);
+        for at in [10.0, 10.0f32.next_up(), 1e-30, 1e18, 1e38, f32::MAX] {
+            for step in [1e-300, 1e-20, 1.0, 1e300] {
+                if let Some(seen) = incoming(&point, Vec3::new(0.0, 0.0, at), step) {
+                    assert!(seen.irradiance.is_finite() && seen.direction.is_finite() && seen.reach >= 0.0);
+                    assert!((seen.direction.length() - 1.0).abs() < 1e-6);
+                }
+            }
+        }
+        assert!(incoming(&point, Vec3::new(0.0, 0.0, 10.0), 1.0).is_none(), "the lamp's own place");
+    }
+}

@@ -1,11 +1,10 @@
 //! A pack made ready for rendering.
 
 use crate::environment::Backdrop;
-use crate::texture::{self, Coding, Sampling};
+use crate::texture::{Coding, Images};
 use tessera_geometry::{Hit, Vec2, Vec3};
 use tessera_kdtree::TreeView;
-use tessera_pack::view::MeshView;
-use tessera_pack::{Light, Material, MaterialFlags, NO_TEXTURE, Pack, Texture};
+use tessera_pack::{Light, Material, MaterialFlags, MeshView, NO_TEXTURE, Pack};
 
 /// A pack's views and what its content asks of the kernel, found once: O(materials), nothing per triangle.
 ///
@@ -21,8 +20,7 @@ pub struct Renderer<'a> {
     pub(crate) needs: Needs,
     pack: &'a Pack,
     materials: &'a [Material],
-    textures: &'a [Texture],
-    texels: &'a [u32],
+    images: Images<'a>,
 }
 
 /// Parts of the kernel that a scene without them skips.
@@ -42,13 +40,13 @@ impl<'a> Renderer<'a> {
     /// Prepares `pack`.
     pub fn new(pack: &'a Pack) -> Self {
         let (mesh, materials) = (pack.mesh(), pack.materials());
-        let (textures, texels) = (pack.textures(), pack.texels());
+        let images = Images::new(pack.textures(), pack.texels());
         Self {
             tree: pack.tree(),
             mesh,
             lights: pack.lights(),
             ambient: pack.ambient().radiance.into(),
-            backdrop: Backdrop::new(pack.environment(), textures, texels),
+            backdrop: Backdrop::new(pack.environment(), images),
             step: pack.frame().step,
             needs: Needs {
                 holes: materials.iter().any(|m| m.flags & MaterialFlags::ALPHA_MASK != 0),
@@ -59,8 +57,7 @@ impl<'a> Renderer<'a> {
             },
             pack,
             materials,
-            textures,
-            texels,
+            images,
         }
     }
 
@@ -79,8 +76,7 @@ impl<'a> Renderer<'a> {
         if slot == NO_TEXTURE {
             return (Vec3::ONE, 1.0);
         }
-        let texture = &self.textures[slot as usize];
-        texture::lookup(self.texels, texture, Sampling::of(texture), uv, coding)
+        self.images.lookup(slot, uv, coding)
     }
 
     /// Whether the surface is there at `hit`, and not a hole cut out by a mask.
@@ -98,8 +94,7 @@ impl<'a> Renderer<'a> {
             alpha *= self.color_at(indices, hit)[3];
         }
         if self.needs.uvs && material.base_texture != NO_TEXTURE && alpha > 0.0 {
-            let texture = &self.textures[material.base_texture as usize];
-            alpha *= texture::lookup_alpha(self.texels, texture, self.uv_at(indices, hit));
+            alpha *= self.images.lookup_alpha(material.base_texture, self.uv_at(indices, hit));
         }
         alpha >= material.alpha_cutoff
     }

@@ -248,3 +248,176 @@ fn reflected(terms: &Terms, surface: &Surface, to_light: Vec3, direction: Vec3) 
     let lobe = if terms.f90 > 0.0 { highlight(halfway.dot(surface.shading), terms.exponent) } else { 0.0 };
     terms.diffuse * (Vec3::ONE - fresnel) * FRAC_1_PI + fresnel * lobe
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn surface(facing: Vec3, shading: Vec3, from_front: bool) -> Surface {
+        Surface { point: Vec3::ZERO, error: Vec3::ZERO, facing, shading, from_front }
+    }
+
+    fn paint(base: Vec3, metallic: f32, roughness: f32, transmission: f32, ior: f32) -> Paint {
+        Paint {
+            base,
+            alpha: 1.0,
+            specular: Vec3::splat(0.04),
+            metallic,
+            roughness,
+            transmission,
+            ior,
+            emissive: Vec3::ZERO,
+            unlit: false,
+            thin_walled: false,
+        }
+    }
+
+    /// A unit vector in the x-z plane that comes down on the plane z = 0 at `angle` from its normal.
+    fn incident(angle: f64) -> Vec3 {
+        Vec3::new(libm::sin(angle) as f32, 0.0, -libm::cos(angle) as f32)
+    }
+
+    #[test]
+    fn refraction_follows_snell_and_fresnel() {
+        for degrees in [0.0f64, 30.0, 60.0, 89.0] {
+            for n in [1.5f64, 2.4, 1.0 / 1.2] {
+                let sin_in = libm::sin(degrees.to_radians());
+                let sin_out = sin_in / n;
+                let refracted = refract(incident(degrees.to_radians()), Vec3::Z, (1.0 / n) as f32);
+                if sin_out > 1.0 {
+                    assert_eq!(refracted, None);
+                    continue;
+                }
+                let (bent, reflectance) = refracted.expect("no total reflection");
+                let (cos_in, cos_out) = ((1.0 - sin_in * sin_in).sqrt(), (1.0 - sin_out * sin_out).sqrt());
+                assert!((f64::from(bent.x) - sin_out).abs() < 1e-6 && bent.y == 0.0 && bent.z < 0.0);
+                let across = (cos_in - n * cos_out) / (cos_in + n * cos_out);
+                let along = (n * cos_in - cos_out) / (n * cos_in + cos_out);
+                let wanted = 0.5 * (across * across + along * along);
+                assert!((f64::from(reflectance) - wanted).abs() < 1e-5, "{degrees} degrees, n {n}");
+            }
+        }
+        // Known values: 4 % at normal incidence on glass.
+        let (_, reflectance) = refract(Vec3::NEG_Z, Vec3::Z, 1.0 / 1.5).expect("no total reflection");
+        assert!((reflectance - 0.04).abs() < 1e-7);
+    }
+
+    #[test]
+    fn the_critical_angle_itself_is_finite() {
+        // eta = 2 and a sine of one half: k is 0 or as near to it as f32 comes, on either side.
+        for i in -20..=20 {
+            let angle = libm::asin(0.5) + f64::from(i) * 1e-8;
+            match refract(incident(angle), Vec3::Z, 2.0) {
+                Some((bent, reflectance)) => {
+                    assert!((bent.length() - 1.0).abs() < 1e-6 && (0.0..=1.0).contains(&reflectance));
+                }
+                None => assert!(i > -20, "well below the angle it passes"),
+            }
+        }
+        let exact = Vec3::new(0.6, 0.0, -0.8);
+        let (bent, reflectance) = refract(exact, Vec3::Z, 1.0).expect("k = c^2 > 0");
+        assert!((bent - exact).length() < 1e-6 && reflectance < 1e-12);
+        // A ray along the surface (c = 0) into the same medium: k = 0.
+        assert!(refract(Vec3::X, Vec3::Z, 1.0).is_some_and(|(d, f)| d.is_finite() && f.is_finite()));
+        // Beyond all measure, but not NaN.
+        for eta in [f32::MAX, f32::INFINITY, 1e-30] {
+            for direction in [Vec3::NEG_Z, incident(0.5)] {
+                if let Some((bent, reflectance)) = refract(direction, Vec3::Z, eta) {
+                    assert!(bent.is_finite() && (0.0..=1.0).contains(&reflectance), "{eta}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn highlights_send_back_at_most_what_they_get() {
+        // The lobe's albedo, integrated over half vectors (a solid angle of lights is 4 (v.h) times that of its half vectors) whose
+        // cosines are spread as the lobe is: c = u^(1 / (e + 2)), dc = c / ((e + 2) u) du.
+        for exponent in [0.0, 1.0, 6.0, 30.0, 200.0, MAX_EXPONENT] {
+            for view_angle in [0.0, 0.3, 0.8, 1.2, 1.5] {
+                let view = -incident(view_angle);
+                let steps = 300;
+                let mut albedo = 0.0;
+                for i in 0..steps {
+                    let u = (f64::from(i) + 0.5) / f64::from(steps);
+                    let e = f64::from(exponent);
+                    let cosine = libm::pow(u, 1.0 / (e + 2.0));
+                    let sine = (1.0 - cosine * cosine).sqrt();
+                    for j in 0..steps {
+                        let around = std::f64::consts::TAU * (f64::from(j) + 0.5) / f64::from(steps);
+                        let (x, y) = (sine * libm::cos(around), sine * libm::sin(around));
+                        let halfway = Vec3::new(x as f32, y as f32, cosine as f32);
+                        let light = halfway * (2.0 * halfway.dot(view)) - view;
+                        if light.z > 0.0 && halfway.dot(view) > 0.0 {
+                            let weight =
+                                f64::from(light.z * 4.0 * halfway.dot(view)) * cosine / ((e + 2.0) * u);
+                            albedo += f64::from(highlight(halfway.z, exponent)) * weight;
+                        }
+                    }
+                }
+                albedo *= std::f64::consts::TAU / f64::from(steps * steps);
+                assert!(albedo < 1.003, "{albedo} at exponent {exponent}, {view_angle}");
+                if view_angle == 0.0 {
+                    assert!(albedo > 0.997, "{albedo} at exponent {exponent}: the norm is exact here");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn roughness_sets_gloss_and_exponent() {
+        let seen = |roughness: f32| {
+            let p = paint(Vec3::ONE, 1.0, roughness, 0.0, 1.5);
+            terms(&p, &surface(Vec3::Z, Vec3::Z, true), Vec3::NEG_Z, Features::default())
+        };
+        assert_eq!(
+            (seen(0.0).mirror, seen(0.0).diffuse, seen(0.0).exponent),
+            (Vec3::ONE, Vec3::ZERO, 1024.0)
+        );
+        assert_eq!((seen(0.25).mirror, seen(0.25).diffuse), (Vec3::splat(0.25), Vec3::splat(0.75)));
+        assert!((seen(0.25).exponent - 510.0).abs() < 0.01);
+        assert_eq!((seen(0.5).mirror, seen(0.5).diffuse, seen(0.5).exponent), (Vec3::ZERO, Vec3::ONE, 30.0));
+        assert_eq!((seen(1.0).mirror, seen(1.0).diffuse, seen(1.0).exponent), (Vec3::ZERO, Vec3::ONE, 0.0));
+    }
+
+    proptest! {
+        #[test]
+        fn the_weights_of_a_hit_sum_to_at_most_one(
+            base in prop::array::uniform3(0.0..=1.0f32),
+            share in prop::array::uniform3(0.0..=1.0f32),
+            ior in 0.2..4.0f32,
+            angle in 0.0..1.57f64,
+            (from_front, thin_walled) in (any::<bool>(), any::<bool>()),
+        ) {
+            let [metallic, roughness, transmission] = share;
+            let p = Paint { thin_walled, ..paint(base.into(), metallic, roughness, transmission, ior) };
+            let t = terms(&p, &surface(Vec3::Z, Vec3::Z, from_front), incident(angle), Features::default());
+            let traced = t.ambient + t.mirror + t.passed;
+            prop_assert!(traced.max_element() <= 1.0 + 1e-6 && traced.min_element() >= 0.0, "{:?}", t);
+            for cosine in [0.0, 0.5, 1.0] {
+                let fresnel = schlick(t.f0, t.f90, cosine);
+                let lit = t.diffuse * (Vec3::ONE - fresnel) + fresnel;
+                prop_assert!(lit.max_element() <= 1.0 + 1e-6 && lit.min_element() >= 0.0, "{:?}", t);
+            }
+        }
+
+        #[test]
+        fn rays_leave_on_their_side_of_the_surface(
+            normal in prop::array::uniform3(-1.0..1.0f32),
+            direction in prop::array::uniform3(-1.0..1.0f32),
+            ior in 0.5..2.5f32,
+        ) {
+            let direction = Vec3::from(direction).normalize_or(Vec3::NEG_Z);
+            prop_assume!(direction.z < -1e-3);
+            let normal = Vec3::from(normal).normalize_or(Vec3::Z);
+            let shading = if normal.dot(-direction) > 1e-3 && normal.z > 0.0 { normal } else { Vec3::Z };
+            let s = surface(Vec3::Z, shading, true);
+            let mirrored = reflect(direction, &s);
+            prop_assert!(mirrored.z >= 0.0 && (mirrored.length() - 1.0).abs() < 1e-5);
+            if let (Passage::Bent(bent), _) = pass(&paint(Vec3::ONE, 0.0, 0.0, 1.0, ior), &s, direction) {
+                prop_assert!(bent.z <= 0.0 && (bent.length() - 1.0).abs() < 1e-5);
+            }
+        }
+    }
+}

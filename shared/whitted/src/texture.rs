@@ -1,7 +1,7 @@
 //! Texture look-ups: wrapping, bilinear interpolation in linear light.
 
-use crate::color::SRGB_TO_LINEAR;
 use tessera_geometry::{Vec2, Vec3};
+use tessera_pack::color::srgb8_to_linear_table;
 use tessera_pack::{Texture, Wrap};
 
 /// How texels code their colour.
@@ -37,6 +37,14 @@ impl Sampling {
     }
 }
 
+/// The pictures of a pack.
+#[derive(Clone, Copy)]
+pub(crate) struct Images<'a> {
+    pub textures: &'a [Texture],
+    texels: &'a [u32],
+    srgb: &'static [f32; 256],
+}
+
 /// The four texels around a point, and how far it lies from the upper left one.
 struct Footprint {
     texel: [u32; 4],
@@ -44,35 +52,51 @@ struct Footprint {
     down: f32,
 }
 
-/// Colour and alpha of `texture` at `uv`: (0, 0) is the image's upper left corner, texel centres lie at + 0.5.
-pub(crate) fn lookup(
-    texels: &[u32],
-    texture: &Texture,
-    sampling: Sampling,
-    uv: Vec2,
-    coding: Coding,
-) -> (Vec3, f32) {
-    let f = footprint(texels, texture, sampling, uv);
-    let [a, b, c, d] = f.texel.map(|texel| color_of(texel, coding));
-    let color = lerp(lerp(a, b, f.across), lerp(c, d, f.across), f.down);
-    (color, blend_alpha(&f))
-}
+impl<'a> Images<'a> {
+    pub(crate) fn new(textures: &'a [Texture], texels: &'a [u32]) -> Self {
+        Self { textures, texels, srgb: srgb8_to_linear_table() }
+    }
 
-/// The alpha of [`lookup`] alone, bit for bit.
-pub(crate) fn lookup_alpha(texels: &[u32], texture: &Texture, uv: Vec2) -> f32 {
-    blend_alpha(&footprint(texels, texture, Sampling::of(texture), uv))
-}
+    /// Colour and alpha of texture `index` at `uv`: (0, 0) is the image's upper left corner, texel centres lie at + 0.5.
+    pub(crate) fn lookup(&self, index: u32, uv: Vec2, coding: Coding) -> (Vec3, f32) {
+        self.lookup_as(index, Sampling::of(&self.textures[index as usize]), uv, coding)
+    }
 
-fn footprint(texels: &[u32], texture: &Texture, sampling: Sampling, uv: Vec2) -> Footprint {
-    // Find the neighbours on each axis.
-    let (x0, x1, across) = neighbours(uv.x, texture.width, sampling.wrap_s, sampling.nearest);
-    let (y0, y1, down) = neighbours(uv.y, texture.height, sampling.wrap_t, sampling.nearest);
+    /// [`Self::lookup`] with another sampling than the texture's own.
+    pub(crate) fn lookup_as(&self, index: u32, sampling: Sampling, uv: Vec2, coding: Coding) -> (Vec3, f32) {
+        let f = self.footprint(index, sampling, uv);
+        let [a, b, c, d] = f.texel.map(|texel| self.color_of(texel, coding));
+        let color = lerp(lerp(a, b, f.across), lerp(c, d, f.across), f.down);
+        (color, blend_alpha(&f))
+    }
 
-    // Fetch them; a pack's texel section covers every texture, so the index is in range.
-    let fetch = |x: u32, y: u32| {
-        texels[texture.first_texel as usize + y as usize * texture.width as usize + x as usize]
-    };
-    Footprint { texel: [fetch(x0, y0), fetch(x1, y0), fetch(x0, y1), fetch(x1, y1)], across, down }
+    /// The alpha of [`Self::lookup`] alone, bit for bit.
+    pub(crate) fn lookup_alpha(&self, index: u32, uv: Vec2) -> f32 {
+        blend_alpha(&self.footprint(index, Sampling::of(&self.textures[index as usize]), uv))
+    }
+
+    fn footprint(&self, index: u32, sampling: Sampling, uv: Vec2) -> Footprint {
+        // Find the neighbours on each axis.
+        let texture = &self.textures[index as usize];
+        let (x0, x1, across) = neighbours(uv.x, texture.width, sampling.wrap_s, sampling.nearest);
+        let (y0, y1, down) = neighbours(uv.y, texture.height, sampling.wrap_t, sampling.nearest);
+
+        // Fetch them; a pack's texel section covers every texture, so the index is in range.
+        let fetch = |x: u32, y: u32| {
+            self.texels[texture.first_texel as usize + y as usize * texture.width as usize + x as usize]
+        };
+        Footprint { texel: [fetch(x0, y0), fetch(x1, y0), fetch(x0, y1), fetch(x1, y1)], across, down }
+    }
+
+    fn color_of(&self, texel: u32, coding: Coding) -> Vec3 {
+        let [r, g, b, _] = texel.to_le_bytes();
+        match coding {
+            Coding::Srgb => {
+                Vec3::new(self.srgb[usize::from(r)], self.srgb[usize::from(g)], self.srgb[usize::from(b)])
+            }
+            Coding::Linear => Vec3::new(f32::from(r), f32::from(g), f32::from(b)) * (1.0 / 255.0),
+        }
+    }
 }
 
 /// The texels on both sides of `coordinate` on an axis of `size` texels, and the share of the second.
@@ -106,16 +130,6 @@ fn neighbours(coordinate: f32, size: u32, wrap: Wrap, nearest: bool) -> (u32, u3
     (low, high, from_centre - floor)
 }
 
-fn color_of(texel: u32, coding: Coding) -> Vec3 {
-    let [r, g, b, _] = texel.to_le_bytes();
-    match coding {
-        Coding::Srgb => {
-            Vec3::new(SRGB_TO_LINEAR[r as usize], SRGB_TO_LINEAR[g as usize], SRGB_TO_LINEAR[b as usize])
-        }
-        Coding::Linear => Vec3::new(f32::from(r), f32::from(g), f32::from(b)) * (1.0 / 255.0),
-    }
-}
-
 fn blend_alpha(f: &Footprint) -> f32 {
     let [a, b, c, d] = f.texel.map(|texel| (texel >> 24) as f32 * (1.0 / 255.0));
     let top = a + (b - a) * f.across;
@@ -141,7 +155,7 @@ mod tests {
 
     fn red(wrap: Wrap, nearest: bool, u: f32) -> f32 {
         let (texels, texture) = row(wrap as u32 | (wrap as u32) << 2 | u32::from(nearest) << 4);
-        lookup(&texels, &texture, Sampling::of(&texture), Vec2::new(u, 0.3), Coding::Linear).0.x * 255.0
+        Images::new(&[texture], &texels).lookup(0, Vec2::new(u, 0.3), Coding::Linear).0.x * 255.0
     }
 
     #[test]
@@ -199,7 +213,7 @@ mod tests {
         let (black, white) = (0xff00_0000, 0xffff_ffff);
         let texture = Texture { first_texel: 1, width: 2, height: 2, sampling: 0 };
         let texels = [7, black, white, white, black];
-        let at = |u, v| lookup(&texels, &texture, Sampling::of(&texture), Vec2::new(u, v), Coding::Srgb).0;
+        let at = |u, v| Images::new(&[texture], &texels).lookup(0, Vec2::new(u, v), Coding::Srgb).0;
         assert_eq!(at(0.5, 0.5), Vec3::splat(0.5));
         assert_eq!(at(0.25, 0.25), Vec3::ZERO);
         assert_eq!(at(0.75, 0.25), Vec3::ONE);
@@ -210,12 +224,14 @@ mod tests {
     #[test]
     fn alpha_is_linear_and_the_same_alone() {
         let (texels, texture) = row(0);
+        let textures = [texture];
+        let images = Images::new(&textures, &texels);
         for i in -40..80 {
             let uv = Vec2::new(i as f32 * 0.037, 0.5);
-            let both = lookup(&texels, &texture, Sampling::of(&texture), uv, Coding::Srgb).1;
-            assert_eq!(both.to_bits(), lookup_alpha(&texels, &texture, uv).to_bits());
+            let both = images.lookup(0, uv, Coding::Srgb).1;
+            assert_eq!(both.to_bits(), images.lookup_alpha(0, uv).to_bits());
         }
-        assert_eq!(lookup_alpha(&texels, &texture, Vec2::new(0.25, 0.5)), 0.5);
+        assert_eq!(images.lookup_alpha(0, Vec2::new(0.25, 0.5)), 0.5);
     }
 
     #[test]
@@ -229,8 +245,12 @@ mod tests {
                         Texture { first_texel: 0, width: width as u32, height: height as u32, sampling: 0 };
                     let sampling = Sampling { wrap_s: wrap, wrap_t: wrap, nearest };
                     for u in huge.into_iter().flat_map(|u| [u, -u]).chain([f32::NAN, f32::INFINITY]) {
-                        let (color, alpha) =
-                            lookup(&texels, &texture, sampling, Vec2::new(u, -u), Coding::Linear);
+                        let (color, alpha) = Images::new(&[texture], &texels).lookup_as(
+                            0,
+                            sampling,
+                            Vec2::new(u, -u),
+                            Coding::Linear,
+                        );
                         assert!(
                             (color.x * 255.0 - 16.0).abs() < 1e-4 && (alpha * 255.0 - 128.0).abs() < 1e-4
                         );

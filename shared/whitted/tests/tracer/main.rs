@@ -1,0 +1,7 @@
+//! The tracer against optics, photometry and its own promises: small packs, exact numbers.
+
+mod energy;
+mod frames;
+mod lights;
+mod refraction;
+mod support;
