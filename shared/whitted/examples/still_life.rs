@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 fn still_life() -> Stage {
     let mut stage = Stage::default();
-    let cell = |x: u32, y: u32| if (x + y) % 2 == 0 { [225, 215, 195, 255] } else { [60, 70, 90, 255] };
+    let cell = |x: u32, y: u32| if (x ^ y) & 1 == 0 { [225, 215, 195, 255] } else { [60, 70, 90, 255] };
     let disc = |x: u32, y: u32| {
         let (dx, dy) = (f64::from(x) - 31.5, f64::from(y) - 31.5);
         [200, 120, 40, if (dx * dx + dy * dy).sqrt() < 20.0 { 0 } else { 255 }]

@@ -77,14 +77,15 @@ fn cone(cosine: f32, cos_inner: f32, cos_outer: f32) -> f32 {
 
 /// The share of a light that reaches `origin`: 0 in shadow, 1 in the open, a colour behind glass or a veil.
 ///
-/// Holes pass light. Glass passes it unbent with its share times its colour, and what blends passes `1 - alpha` besides.
+/// Occluders begin at the distance `clearance`. Holes pass light. Glass passes it unbent with its share times its colour, and what blends passes `1 - alpha` besides.
 pub(crate) fn transmittance(
     scene: &Renderer<'_>,
     features: Features,
     origin: Vec3,
+    clearance: f32,
     incoming: &Incoming,
 ) -> Vec3 {
-    let ray = Ray { origin, direction: incoming.direction, t_min: 0.0, t_max: incoming.reach };
+    let ray = Ray { origin, direction: incoming.direction, t_min: clearance, t_max: incoming.reach };
 
     // Look for anything opaque: in most scenes the whole question.
     let needs = scene.needs;
@@ -105,7 +106,7 @@ pub(crate) fn transmittance(
     if !needs.see_through {
         return passed;
     }
-    let mut after = After::START;
+    let mut after = After::start(clearance);
     for _ in 0..MAX_LAYERS {
         let Some(hit) = path::nearest(scene, &ray, after) else { return passed };
         let paint = paint_at(scene, &hit);

@@ -12,7 +12,7 @@
 
 use crate::scene::Renderer;
 use crate::shade::{local_light, reflect, terms};
-use crate::surface::{offset_origin, paint_at, surface_at};
+use crate::surface::{clearance, offset_origin, paint_at, surface_at};
 use crate::{Features, FrameParams, RayCounts};
 use tessera_geometry::{Hit, Ray, Vec3};
 
@@ -31,7 +31,8 @@ pub(crate) enum Passage {
     Bent(Vec3),
 }
 
-/// A place on a ray: hits count when they come after it in the order (t, triangle).
+/// A place on a ray: hits count when they come after it in the order (t, triangle). No triangle comes after
+/// [`Hit::NO_TRIANGLE`], so with it hits at that very `t` are out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct After {
     t: f32,
@@ -39,8 +40,13 @@ pub(crate) struct After {
 }
 
 impl After {
-    /// The start of a ray.
-    pub(crate) const START: Self = Self { t: 0.0, triangle: Hit::NO_TRIANGLE };
+    /// The start of a ray from the eye.
+    pub(crate) const EYE: Self = Self::start(0.0);
+
+    /// The start of a ray whose hits begin behind `t_min`.
+    pub(crate) const fn start(t_min: f32) -> Self {
+        Self { t: t_min, triangle: Hit::NO_TRIANGLE }
+    }
 
     /// The place of `hit`.
     pub(crate) fn hit(hit: &Hit) -> Self {
@@ -82,7 +88,7 @@ impl PathStack {
         let unused = Segment {
             origin: Vec3::ZERO,
             direction: Vec3::ZERO,
-            after: After::START,
+            after: After::EYE,
             weight: Vec3::ZERO,
             depth: 0,
             layers: 0,
@@ -117,13 +123,14 @@ pub(crate) struct Seen {
     pub first: Option<Hit>,
 }
 
-/// The nearest surface along `ray` behind `after`, holes excepted.
+/// The nearest surface along `ray` behind `after`, which replaces its `t_min`; holes excepted.
 pub(crate) fn nearest(scene: &Renderer<'_>, ray: &Ray, after: After) -> Option<Hit> {
-    if after == After::START {
+    if after.triangle == Hit::NO_TRIANGLE {
+        let ray = Ray { t_min: after.t, ..*ray };
         if scene.needs.holes {
-            scene.tree.closest_hit(&scene.mesh, ray, |hit| scene.is_solid(hit))
+            scene.tree.closest_hit(&scene.mesh, &ray, |hit| scene.is_solid(hit))
         } else {
-            scene.tree.closest_hit(&scene.mesh, ray, |_| true)
+            scene.tree.closest_hit(&scene.mesh, &ray, |_| true)
         }
     } else {
         // Let t begin just before the last hit, so that a coincident surface is met too.
@@ -148,7 +155,7 @@ pub(crate) fn trace(
     counts.primary += stack.push(Segment {
         origin: eye.origin,
         direction: eye.direction,
-        after: After::START,
+        after: After::EYE,
         weight: Vec3::ONE,
         depth: 0,
         layers: 0,
@@ -191,7 +198,8 @@ pub(crate) fn trace(
         }
 
         // Go through bent glass.
-        let ray = Segment { after: After::START, depth: depth + 1, ..segment };
+        let after = After::start(clearance(&surface));
+        let ray = Segment { after, depth: depth + 1, ..segment };
         if let Passage::Bent(bent) = terms.passage {
             let origin = offset_origin(&surface, -surface.facing);
             let weight = covered * terms.passed;

@@ -98,7 +98,7 @@ fn pixel(
     }
     let first = if params.format == PixelFormat::Layers {
         counts.primary += 1;
-        nearest(scene, &centre, After::START)
+        nearest(scene, &centre, After::EYE)
     } else {
         None
     };

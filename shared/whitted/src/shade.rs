@@ -42,7 +42,7 @@
 use crate::Features;
 use crate::light;
 use crate::scene::Renderer;
-use crate::surface::{Paint, Surface, offset_origin};
+use crate::surface::{Paint, Surface, clearance, offset_origin};
 use crate::{RayCounts, path::Passage};
 use std::f32::consts::{FRAC_1_PI, PI};
 use tessera_geometry::Vec3;
@@ -233,7 +233,7 @@ pub(crate) fn local_light(
         }
         if features.shadows {
             counts.shadow += 1;
-            sum += sent_back * light::transmittance(scene, features, origin, &incoming);
+            sum += sent_back * light::transmittance(scene, features, origin, clearance(surface), &incoming);
         } else {
             sum += sent_back;
         }

@@ -80,7 +80,7 @@ fn lean_to_viewer(normal: Vec3, view: Vec3) -> Vec3 {
 }
 
 /// A ray's origin at `surface`, moved off it along `side` (the geometric normal or its opposite) by the point's error, so that the
-/// ray meets the same plane no more and starts with `t_min` 0 (Pharr, Jakob, Humphreys, section 6.8.6).
+/// ray meets the same plane no more (Pharr, Jakob, Humphreys, section 6.8.6).
 pub(crate) fn offset_origin(surface: &Surface, side: Vec3) -> Vec3 {
     // Move by the extent of the error box along the normal.
     let moved = surface.point + side * side.abs().dot(surface.error);
@@ -92,6 +92,14 @@ pub(crate) fn offset_origin(surface: &Surface, side: Vec3) -> Vec3 {
         _ => at,
     };
     Vec3::new(away(moved.x, side.x), away(moved.y, side.y), away(moved.z, side.z))
+}
+
+/// Where hits of a ray from `surface` begin. The offset clears the surface itself, not a neighbour at a concave edge: a point on the edge may
+/// lie behind the neighbour's plane by its error. The sum of the error over the axes clears neighbours that the ray leaves steeper than
+/// about 20 degrees (sine 1/3, for equal errors). It lets light pass under what touches the surface for at most 6e-7 of
+/// the scene's side: 0.7 of a voxel at 1024 cells a side.
+pub(crate) fn clearance(surface: &Surface) -> f32 {
+    surface.error.x + surface.error.y + surface.error.z
 }
 
 /// The material at `hit`.
