@@ -2,8 +2,9 @@
 
 /// The code in `0..=max_code` nearest to `linear`, which is clamped to [0, 1] first; NaN becomes 0.
 ///
-/// The curve is evaluated in `f64` with an error below 1e-14, so that a code is the nearest one unless the exact value lies
-/// within 1e-9 of a code from the middle between two: the coding error is at most 0.5 + 1e-9 codes, for 8 and 16 bits.
+/// The curve is evaluated in `f64` with an error below 1e-14, so that a code is the nearest one unless the exact
+/// value lies within 1e-9 of a code from the middle between two: the coding error is at most 0.5 + 1e-9 codes, for 8
+/// and 16 bits.
 pub(crate) fn encode_srgb(linear: f32, max_code: f64) -> u16 {
     encode_unit(srgb_from_linear(f64::from(linear.clamp(0.0, 1.0))), max_code)
 }

@@ -63,8 +63,9 @@ impl<'a> Backdrop<'a> {
     }
 }
 
-/// The level direction towards the image's centre: `+z` made perpendicular to `up`. When `up` itself is nearly `+z` or `-z` (within 8 degrees:
-/// the scene stands on another axis) `-y` takes its place, which is where `+z` goes when `y` is turned up to `z`.
+/// The level direction towards the image's centre: `+z` made perpendicular to `up`. When `up` itself is nearly `+z`
+/// or `-z` (within 8 degrees: the scene stands on another axis) `-y` takes its place, which is where `+z` goes when
+/// `y` is turned up to `z`.
 fn level_ahead(up: Vec3) -> Vec3 {
     let wanted = if up.z.abs() > 0.99 { Vec3::NEG_Y } else { Vec3::Z };
     (wanted - up * wanted.dot(up)).normalize()
@@ -100,7 +101,8 @@ mod tests {
 
     #[test]
     fn a_map_shows_its_centre_ahead_and_its_right_half_to_the_right() {
-        // 4 x 2: the columns face back-left, front-left, front-right, back-right; the top row is red, the lower one green.
+        // 4 x 2: the columns face back-left, front-left, front-right, back-right; the top row is red, the lower one
+        // green.
         let texel = |column: u32, row: u32| if row == 0 { 255 } else { 255 << 8 } | (85 * column) << 16;
         let texels: Vec<u32> = (0..8).map(|i| texel(i % 4, i / 4)).collect();
         let textures = [Texture { first_texel: 0, width: 4, height: 2, sampling: 0 }];

@@ -1,7 +1,7 @@
 //! Whitted shading over a pack: shadows, reflection, refraction, textures.
 //!
-//! [`Renderer`] takes a [`tessera_pack::Pack`] and turns [`FrameParams`] and a [`PixelBlock`] into pixels. Everything about a pixel
-//! follows from these; threads, blocks and machines only decide who computes it.
+//! [`Renderer`] takes a [`tessera_pack::Pack`] and turns [`FrameParams`] and a [`PixelBlock`] into pixels. Everything
+//! about a pixel follows from these; threads, blocks and machines only decide who computes it.
 //!
 //! | file | holds |
 //! |---|---|

@@ -52,8 +52,9 @@ pub(crate) fn incoming(light: &Light, origin: Vec3, step: f64) -> Option<Incomin
 
 /// Where occluders of a light at `distance` end, so that a lamp in or on a surface is not put out by it.
 ///
-/// Three things may put that surface before the light: packing moves a vertex by up to half a voxel an axis, sqrt(3) / 2 < 1; rounding the
-/// light's place, within gamma(3) of its coordinates; and rounding the ray's unit direction, within gamma(6) < 2^-20 of the distance.
+/// Three things may put that surface before the light: packing moves a vertex by up to half a voxel an axis, sqrt(3)
+/// / 2 < 1; rounding the light's place, within gamma(3) of its coordinates; and rounding the ray's unit direction,
+/// within gamma(6) < 2^-20 of the distance.
 fn reach(distance: f32, position: Vec3) -> f32 {
     let place = position.abs();
     let margin = 1.0 + (place.x + place.y + place.z) * gamma(3) + distance * (1.0 / 1_048_576.0);
@@ -67,8 +68,9 @@ fn window(distance: f32, range: f32) -> f32 {
     (1.0 - x2 * x2).clamp(0.0, 1.0)
 }
 
-/// The fall-off of a spot between its cones (KHR_lights_punctual, "Inner and Outer Cone Angles"), without that text's bound of 0.001 on
-/// the difference of the cosines, which would dim narrow spots; 2^-24 only keeps the division defined.
+/// The fall-off of a spot between its cones (KHR_lights_punctual, "Inner and Outer Cone Angles"), without that text's
+/// bound of 0.001 on the difference of the cosines, which would dim narrow spots; 2^-24 only keeps the division
+/// defined.
 fn cone(cosine: f32, cos_inner: f32, cos_outer: f32) -> f32 {
     let x = (cosine - cos_outer) / (cos_inner - cos_outer).max(f32::EPSILON * 0.5);
     let x = x.clamp(0.0, 1.0);
@@ -77,7 +79,8 @@ fn cone(cosine: f32, cos_inner: f32, cos_outer: f32) -> f32 {
 
 /// The share of a light that reaches `origin`: 0 in shadow, 1 in the open, a colour behind glass or a veil.
 ///
-/// Occluders begin at the distance `clearance`. Holes pass light. Glass passes it unbent with its share times its colour, and what blends passes `1 - alpha` besides.
+/// Occluders begin at the distance `clearance`. Holes pass light. Glass passes it unbent with its share times its
+/// colour, and what blends passes `1 - alpha` besides.
 pub(crate) fn transmittance(
     scene: &Renderer<'_>,
     features: Features,
@@ -100,8 +103,8 @@ pub(crate) fn transmittance(
         return Vec3::ZERO;
     }
 
-    // Then filter the light surface by surface, each once: a traversal may meet a triangle in several leaves, but (t, id) orders the
-    // hits whatever the tree.
+    // Then filter the light surface by surface, each once: a traversal may meet a triangle in several leaves, but (t,
+    // id) orders the hits whatever the tree.
     let mut passed = Vec3::ONE;
     if !needs.see_through {
         return passed;

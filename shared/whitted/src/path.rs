@@ -2,13 +2,15 @@
 //!
 //! # How a path ends
 //!
-//! * **Depth.** A surface met after `max_depth` mirror and bent rays shows its local light (lights, ambient, emission); what its mirror or glass would
-//!   have brought is black. Between two facing mirrors of reflectance `k` and emission `e` the picture is `e (1 + k + ... + k^max_depth)`.
-//! * **Weight.** A ray whose weight in the pixel is below [`MIN_WEIGHT`] = 1/512 in every channel is not traced. Whatever it would have seen changes a
-//!   pixel by less than 1/512 of that radiance: below half a step, 1/510, of 8-bit linear light. The weights of the rays behind one surface sum to at most
-//!   that surface's own, so at most 3 * 512 rays of one generation are alive, and a path of any depth stays bounded.
-//! * **Layers.** Straight continuations (blending, thin walls, `ior == 1`) do not count as depth, but a path passes at most [`MAX_LAYERS`] of
-//!   them; behind the last one it is black and opaque.
+//! * **Depth.** A surface met after `max_depth` mirror and bent rays shows its local light (lights, ambient,
+//!   emission); what its mirror or glass would have brought is black. Between two facing mirrors of reflectance `k`
+//!   and emission `e` the picture is `e (1 + k + ... + k^max_depth)`.
+//! * **Weight.** A ray whose weight in the pixel is below [`MIN_WEIGHT`] = 1/512 in every channel is not traced.
+//!   Whatever it would have seen changes a pixel by less than 1/512 of that radiance: below half a step, 1/510, of
+//!   8-bit linear light. The weights of the rays behind one surface sum to at most that surface's own, so at most
+//!   1536 rays (512 a channel) of one generation are alive, and a path of any depth stays bounded.
+//! * **Layers.** Straight continuations (blending, thin walls, `ior == 1`) do not count as depth, but a path passes
+//!   at most [`MAX_LAYERS`] of them; behind the last one it is black and opaque.
 
 use crate::scene::Renderer;
 use crate::shade::{local_light, reflect, terms};
@@ -73,8 +75,8 @@ struct Segment {
     layers: u32,
 }
 
-/// The waiting rays of one path. A surface replaces its ray by up to three and so adds up to two, once for each unit of depth and each layer
-/// at most; the bound follows.
+/// The waiting rays of one path. A surface replaces its ray by up to three and so adds up to two, once for each unit
+/// of depth and each layer at most; the bound follows.
 pub(crate) struct PathStack {
     segments: [Segment; PathStack::CAPACITY],
     len: usize,
@@ -162,7 +164,8 @@ pub(crate) fn trace(
     });
 
     while let Some(segment) = stack.pop() {
-        // Find what the ray meets, or what lies behind everything. Where nothing bent the ray, nothing covers the pixel.
+        // Find what the ray meets, or what lies behind everything. Where nothing bent the ray, nothing covers the
+        // pixel.
         let Segment { origin, direction, after, weight, depth, layers } = segment;
         let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
         let Some(hit) = nearest(scene, &ray, after) else {

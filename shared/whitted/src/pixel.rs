@@ -32,8 +32,8 @@ impl PixelBlock {
     }
 }
 
-/// Renders `block` into `out` (`width * height * bytes_per_pixel` bytes). A pixel depends on the pack, the parameters and its own
-/// coordinates alone, never on the block.
+/// Renders `block` into `out` (`width * height * bytes_per_pixel` bytes). A pixel depends on the pack, the parameters
+/// and its own coordinates alone, never on the block.
 ///
 /// Prepares the pack anew for every block, which costs O(materials); who renders many blocks keeps a [`Renderer`].
 ///
@@ -68,8 +68,8 @@ impl Renderer<'_> {
     }
 }
 
-/// The mean of a pixel's samples, added up in their order. `first` is the surface behind the pixel's centre; it is looked for only
-/// where the format shows it.
+/// The mean of a pixel's samples, added up in their order. `first` is the surface behind the pixel's centre; it is
+/// looked for only where the format shows it.
 fn pixel(
     scene: &Renderer<'_>,
     params: &FrameParams,
@@ -113,8 +113,9 @@ fn straight_codes(seen: &Seen, max_code: f64) -> [u16; 4] {
     [r, g, b, encode_linear(seen.alpha, max_code)]
 }
 
-/// The nine words of [`PixelFormat::Layers`]: linear premultiplied colour, alpha, distance from the eye in world units (`+inf` on a
-/// miss), the geometric normal on the side on which the triangle winds counter-clockwise (0 on a miss), and the id in the flattened scene.
+/// The nine words of [`PixelFormat::Layers`]: linear premultiplied colour, alpha, distance from the eye in world
+/// units (`+inf` on a miss), the geometric normal on the side on which the triangle winds counter-clockwise (0 on a
+/// miss), and the id in the flattened scene.
 fn layers(scene: &Renderer<'_>, seen: &Seen) -> [[u8; 4]; 9] {
     let (depth, normal, id) = match &seen.first {
         None => (f32::INFINITY, Vec3::ZERO, Hit::NO_TRIANGLE),

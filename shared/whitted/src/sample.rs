@@ -1,9 +1,10 @@
 //! Where the samples of a pixel lie.
 //!
-//! One sample goes through the pixel's centre. More are **correlated multi-jittered** (Kensler 2013, "Correlated Multi-Jittered
-//! Sampling", Pixar technical memo 13-01, listing for any number of samples): `n` samples lie one to each of `n` rows of equal height,
-//! and one to each cell of a grid of `floor(sqrt n)` columns (when it divides `n`; otherwise at most one a cell). The shuffles and the
-//! jitter are integer hashes of (frame, pixel, sample), so that a sample never depends on who computes it, or when.
+//! One sample goes through the pixel's centre. More are **correlated multi-jittered** (Kensler 2013, "Correlated
+//! Multi-Jittered Sampling", Pixar technical memo 13-01, listing for any number of samples): `n` samples lie one to
+//! each of `n` rows of equal height, and one to each cell of a grid of `floor(sqrt n)` columns (when it divides `n`;
+//! otherwise at most one a cell). The shuffles and the jitter are integer hashes of (frame, pixel, sample), so that a
+//! sample never depends on who computes it, or when.
 
 use tessera_geometry::Vec2;
 
@@ -13,7 +14,8 @@ pub(crate) fn pixel_seed(frame: u64, x: u32, y: u32) -> u32 {
     pcg(x ^ pcg(y ^ seed))
 }
 
-/// Sample `index` of `count` in the unit square of a pixel, `(0, 0)` at its upper left; both coordinates lie in [0, 1].
+/// Sample `index` of `count` in the unit square of a pixel, `(0, 0)` at its upper left; both coordinates lie in [0,
+/// 1].
 pub(crate) fn offset_in_pixel(index: u32, count: u32, seed: u32) -> Vec2 {
     // Take the centre when there is only one.
     if count <= 1 {
@@ -47,8 +49,9 @@ fn unit_float(hash: u32) -> f32 {
     (hash >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
-/// Where `index` goes in the permutation of `0..length` that `pattern` names: an invertible hash on the next power of two,
-/// walked until it falls below `length`, then rotated (Kensler 2013; the listing's sum can wrap around 2^32 and then is no permutation).
+/// Where `index` goes in the permutation of `0..length` that `pattern` names: an invertible hash on the next power of
+/// two, walked until it falls below `length`, then rotated (Kensler 2013; the listing's sum can wrap around 2^32 and
+/// then is no permutation).
 fn permute(index: u32, length: u32, pattern: u32) -> u32 {
     let mask = (u64::from(length).next_power_of_two() - 1) as u32;
     let mut i = index;

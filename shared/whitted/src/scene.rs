@@ -116,8 +116,8 @@ impl<'a> Renderer<'a> {
     }
 }
 
-/// Whether light may pass a surface of this material other than through a hole. Textures can only lower a share, so the factors
-/// decide.
+/// Whether light may pass a surface of this material other than through a hole. Textures can only lower a share, so
+/// the factors decide.
 pub(crate) fn lets_light_through(material: &Material) -> bool {
     let unlit = material.flags & MaterialFlags::UNLIT != 0;
     material.flags & MaterialFlags::ALPHA_BLEND != 0 || (material.transmission > 0.0 && !unlit)

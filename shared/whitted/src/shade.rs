@@ -2,10 +2,11 @@
 //!
 //! # The mapping
 //!
-//! Whitted (1980) splits what leaves a surface into a local part (lights, seen directly) and two traced parts (an ideal mirror ray and
-//! an ideal refracted ray). A metal/roughness material has base colour `c`, metal `m`, perceptual roughness `r`, transmission `t`,
-//! specular reflectance `s` and an index of refraction. With `v` the direction to the viewer, `n` the shading normal, `l` the direction to a
-//! light and `h` the unit vector halfway between `l` and `v`:
+//! Whitted (1980) splits what leaves a surface into a local part (lights, seen directly) and two traced parts (an
+//! ideal mirror ray and an ideal refracted ray). A metal/roughness material has base colour `c`, metal `m`,
+//! perceptual roughness `r`, transmission `t`, specular reflectance `s` and an index of refraction. With `v` the
+//! direction to the viewer, `n` the shading normal, `l` the direction to a light and `h` the unit vector halfway
+//! between `l` and `v`:
 //!
 //! | term | value |
 //! |---|---|
@@ -21,23 +22,26 @@
 //! | mirror ray | `(1 - T) g F(n.v) + T g Fg`; from inside the glass `T Fg`, for what is totally reflected has nowhere else to go |
 //! | refracted ray | `T (1 - Fg) c` |
 //!
-//! `E` is intensity over squared distance (candela) or the intensity itself (lux). The exponent follows from matching Blinn-Phong to a Beckmann lobe
-//! of width `r^2` (Walter et al. 2007, section 5.2); its bound makes a point light's image in a mirror about as large as a lamp 5 degrees
-//! wide, where an ideal mirror would show nothing. The factor of `B` makes its albedo 1 where it is greatest, at normal incidence.
+//! `E` is intensity over squared distance (candela) or the intensity itself (lux). The exponent follows from matching
+//! Blinn-Phong to a Beckmann lobe of width `r^2` (Walter et al. 2007, section 5.2); its bound makes a point light's
+//! image in a mirror about as large as a lamp 5 degrees wide, where an ideal mirror would show nothing. The factor of
+//! `B` makes its albedo 1 where it is greatest, at normal incidence.
 //!
-//! **Energy.** `D <= c (1 - T)` and all of `c`, `F`, `Fg`, `g` lie in [0, 1]. Ambient, mirror and refracted weights together are at most
-//! `(1 - T) (1 - g F + g F) + T (1 - Fg + Fg) = 1`; what a light brings is weighed by `D (1 - F) + F <= 1`.
+//! **Energy.** `D <= c (1 - T)` and all of `c`, `F`, `Fg`, `g` lie in [0, 1]. Ambient, mirror and refracted weights
+//! together are at most `(1 - T) (1 - g F + g F) + T (1 - Fg + Fg) = 1`; what a light brings is weighed by at most
+//! `D (1 - F) + F <= 1`.
 //!
-//! Emission is added, unscaled. An **unlit** material shows its base colour and sends no rays. With **blending**, alpha weighs all of the above
-//! and `1 - alpha` goes straight on. Blended, thin-walled and `ior == 1` surfaces pass a ray on unbent: it is continued, not started anew,
-//! so that `ior == 1` glass of white base changes no bit of the picture behind it. Media do not nest: outside any glass is vacuum, and the side is
-//! told by the triangle's winding.
+//! Emission is added, unscaled. An **unlit** material shows its base colour and sends no rays. With **blending**,
+//! alpha weighs all of the above and `1 - alpha` goes straight on. Blended, thin-walled and `ior == 1` surfaces pass
+//! a ray on unbent: it is continued, not started anew, so that `ior == 1` glass of white base changes no bit of the
+//! picture behind it. Media do not nest: outside any glass is vacuum, and the side is told by the triangle's winding.
 //!
-//! **Sides.** Both sides of a triangle are shaded alike, double-sided or not: the normal is the one on the viewer's side. A single-sided surface of
-//! a closed body is never seen from behind, and elsewhere a wall is better than a hole.
+//! **Sides.** Both sides of a triangle are shaded alike, double-sided or not: the normal is the one on the viewer's
+//! side. A single-sided surface of a closed body is never seen from behind, and elsewhere a wall is better than a
+//! hole.
 //!
-//! Reflection or refraction **switched off** acts on the material: without reflection `g = Fg = 0` (a metal turns diffuse), without refraction `T = 0`
-//! (glass turns opaque, `t` counts as 0).
+//! Reflection or refraction **switched off** acts on the material: without reflection `g = Fg = 0` (a metal turns
+//! diffuse), without refraction `T = 0` (glass turns opaque, `t` counts as 0).
 
 use crate::Features;
 use crate::light;
@@ -150,10 +154,11 @@ fn pass(paint: &Paint, surface: &Surface, direction: Vec3) -> (Passage, f32) {
     }
 }
 
-/// Direction and exact Fresnel reflectance of a ray that goes from a medium of index `n1` into one of `n2`, `eta` = `n1 / n2`,
-/// through a surface whose unit `normal` faces it; `None` when it is totally reflected.
+/// Direction and exact Fresnel reflectance of a ray that goes from a medium of index `n1` into one of `n2`, `eta` =
+/// `n1 / n2`, through a surface whose unit `normal` faces it; `None` when it is totally reflected.
 pub(crate) fn refract(direction: Vec3, normal: Vec3, eta: f32) -> Option<(Vec3, f32)> {
-    // Find the cosine on the other side by Snell's law; 0 at the critical angle itself. A NaN (infinite eta) is no number >= 0.
+    // Find the cosine on the other side by Snell's law; 0 at the critical angle itself. A NaN (infinite eta) is no
+    // number >= 0.
     let cos_in = (-direction.dot(normal)).clamp(0.0, 1.0);
     let k = 1.0 - eta * eta * (1.0 - cos_in * cos_in);
     if k >= 0.0 {
@@ -200,8 +205,8 @@ fn highlight(cosine: f32, exponent: f32) -> f32 {
     scale * libm::powf(cosine.max(0.0), exponent)
 }
 
-/// What the surface sends back along `-direction` without further mirror or refracted rays: emission, ambient light, and each light
-/// in turn unless it is in shadow.
+/// What the surface sends back along `-direction` without further mirror or refracted rays: emission, ambient light,
+/// and each light in turn unless it is in shadow.
 pub(crate) fn local_light(
     scene: &Renderer<'_>,
     features: Features,
@@ -241,7 +246,8 @@ pub(crate) fn local_light(
     sum
 }
 
-/// Share of the light from `to_light` that goes to the viewer: diffuse under a reflecting coat, and the coat's highlight.
+/// Share of the light from `to_light` that goes to the viewer: diffuse under a reflecting coat, and the coat's
+/// highlight.
 fn reflected(terms: &Terms, surface: &Surface, to_light: Vec3, direction: Vec3) -> Vec3 {
     let halfway = (to_light - direction).normalize_or(surface.shading);
     let fresnel = schlick(terms.f0, terms.f90, -halfway.dot(direction));
@@ -332,8 +338,8 @@ mod tests {
 
     #[test]
     fn highlights_send_back_at_most_what_they_get() {
-        // The lobe's albedo, integrated over half vectors (a solid angle of lights is 4 (v.h) times that of its half vectors) whose
-        // cosines are spread as the lobe is: c = u^(1 / (e + 2)), dc = c / ((e + 2) u) du.
+        // The lobe's albedo, integrated over half vectors (a solid angle of lights is 4 (v.h) times that of its half
+        // vectors) whose cosines are spread as the lobe is: c = u^(1 / (e + 2)), dc = c / ((e + 2) u) du.
         for exponent in [0.0, 1.0, 6.0, 30.0, 200.0, MAX_EXPONENT] {
             for view_angle in [0.0, 0.3, 0.8, 1.2, 1.5] {
                 let view = -incident(view_angle);

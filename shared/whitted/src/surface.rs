@@ -38,8 +38,9 @@ pub(crate) struct Paint {
 
 /// The surface at `hit`, met by a ray along `direction`.
 pub(crate) fn surface_at(scene: &Renderer<'_>, hit: &Hit, direction: Vec3) -> Surface {
-    // Compute the point from the weights. Products and sums round 3 times, and the weights sum to 1 within 2 roundings, which
-    // moves the point by 2 roundings of itself: at most gamma(7) * sum |b_i v_i| (Pharr, Jakob, Humphreys, section 6.8.5).
+    // Compute the point from the weights. Products and sums round 3 times, and the weights sum to 1 within 2
+    // roundings, which moves the point by 2 roundings of itself: at most gamma(7) * sum |b_i v_i| (Pharr, Jakob,
+    // Humphreys, section 6.8.5).
     let indices = scene.mesh.indices(hit.triangle);
     let corners = indices.map(|v| scene.mesh.position(v));
     let weights = [1.0 - hit.b1 - hit.b2, hit.b1, hit.b2];
@@ -64,23 +65,24 @@ pub(crate) fn surface_at(scene: &Renderer<'_>, hit: &Hit, direction: Vec3) -> Su
     Surface { point, error, facing, shading, from_front }
 }
 
-/// Unit normal of a triangle on the side on which its corners run counter-clockwise. In `f64`, where the differences and products of
-/// coordinates below 2^24 are exact, so that slivers keep their direction.
+/// Unit normal of a triangle on the side on which its corners run counter-clockwise. In `f64`, where the differences
+/// and products of coordinates below 2^24 are exact, so that slivers keep their direction.
 pub(crate) fn geometric_normal(corners: [Vec3; 3]) -> Vec3 {
     let [a, b, c] = corners.map(Vec3::as_dvec3);
     (b - a).cross(c - a).try_normalize().unwrap_or(DVec3::Y).as_vec3()
 }
 
-/// A shading normal that faces away from the viewer, as happens beside the silhouette of a coarse mesh, leans back until it is just seen:
-/// by 2^-10, far above the 2^-22 by which the cosine is rounded, and less than a tenth of a degree.
+/// A shading normal that faces away from the viewer, as happens beside the silhouette of a coarse mesh, leans back
+/// until it is just seen: by 2^-10, far above the 2^-22 by which the cosine is rounded, and less than a tenth of a
+/// degree.
 fn lean_to_viewer(normal: Vec3, view: Vec3) -> Vec3 {
     const LEAST_COSINE: f32 = 1.0 / 1024.0;
     let cosine = normal.dot(view);
     if cosine >= LEAST_COSINE { normal } else { (normal + view * (LEAST_COSINE - cosine)).normalize() }
 }
 
-/// A ray's origin at `surface`, moved off it along `side` (the geometric normal or its opposite) by the point's error, so that the
-/// ray meets the same plane no more (Pharr, Jakob, Humphreys, section 6.8.6).
+/// A ray's origin at `surface`, moved off it along `side` (the geometric normal or its opposite) by the point's
+/// error, so that the ray meets the same plane no more (Pharr, Jakob, Humphreys, section 6.8.6).
 pub(crate) fn offset_origin(surface: &Surface, side: Vec3) -> Vec3 {
     // Move by the extent of the error box along the normal.
     let moved = surface.point + side * side.abs().dot(surface.error);
@@ -94,10 +96,10 @@ pub(crate) fn offset_origin(surface: &Surface, side: Vec3) -> Vec3 {
     Vec3::new(away(moved.x, side.x), away(moved.y, side.y), away(moved.z, side.z))
 }
 
-/// Where hits of a ray from `surface` begin. The offset clears the surface itself, not a neighbour at a concave edge: a point on the edge may
-/// lie behind the neighbour's plane by its error. The sum of the error over the axes clears neighbours that the ray leaves steeper than
-/// about 20 degrees (sine 1/3, for equal errors). It lets light pass under what touches the surface for at most 6e-7 of
-/// the scene's side: 0.7 of a voxel at 1024 cells a side.
+/// Where hits of a ray from `surface` begin. The offset clears the surface itself, not a neighbour at a concave edge:
+/// a point on the edge may lie behind the neighbour's plane by its error. The sum of the error over the axes clears
+/// neighbours that the ray leaves steeper than about 20 degrees (sine 1/3, for equal errors). It lets light pass
+/// under what touches the surface for at most 6e-7 of the scene's side: 0.7 of a voxel at 1024 cells a side.
 pub(crate) fn clearance(surface: &Surface) -> f32 {
     surface.error.x + surface.error.y + surface.error.z
 }

@@ -57,7 +57,8 @@ impl<'a> Images<'a> {
         Self { textures, texels, srgb: srgb8_to_linear_table() }
     }
 
-    /// Colour and alpha of texture `index` at `uv`: (0, 0) is the image's upper left corner, texel centres lie at + 0.5.
+    /// Colour and alpha of texture `index` at `uv`: (0, 0) is the image's upper left corner, texel centres lie at +
+    /// 0.5.
     pub(crate) fn lookup(&self, index: u32, uv: Vec2, coding: Coding) -> (Vec3, f32) {
         self.lookup_as(index, Sampling::of(&self.textures[index as usize]), uv, coding)
     }
@@ -101,8 +102,8 @@ impl<'a> Images<'a> {
 
 /// The texels on both sides of `coordinate` on an axis of `size` texels, and the share of the second.
 fn neighbours(coordinate: f32, size: u32, wrap: Wrap, nearest: bool) -> (u32, u32, f32) {
-    // Bring the coordinate into [0, 1]. Where f32 has no fractions left the difference is 0; an infinite coordinate makes
-    // a NaN, which is not above 0.
+    // Bring the coordinate into [0, 1]. Where f32 has no fractions left the difference is 0; an infinite coordinate
+    // makes a NaN, which is not above 0.
     let folded = match wrap {
         Wrap::Repeat => coordinate - coordinate.floor(),
         Wrap::Mirror => {
@@ -120,7 +121,8 @@ fn neighbours(coordinate: f32, size: u32, wrap: Wrap, nearest: bool) -> (u32, u3
         return (texel, texel, 0.0);
     }
 
-    // Or the two whose centres enclose it; beyond the border comes the other end when repeating, else the same texel again.
+    // Or the two whose centres enclose it; beyond the border comes the other end when repeating, else the same texel
+    // again.
     let from_centre = at - 0.5;
     let floor = from_centre.floor();
     let first = floor as i64;

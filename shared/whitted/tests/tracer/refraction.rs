@@ -43,7 +43,8 @@ fn a_plate_shifts_a_ray_sideways() {
     }
 }
 
-/// Where a ray parallel to the axis at height `h` crosses the plane at distance 1.5 behind the centre of a glass ball of radius 1, in `f64`.
+/// Where a ray parallel to the axis at height `h` crosses the plane at distance 1.5 behind the centre of a glass ball
+/// of radius 1, in `f64`.
 fn through_ball(h: f64) -> f64 {
     let bend = |d: DVec3, n: DVec3, eta: f64| {
         let c = -d.dot(n);
@@ -58,7 +59,8 @@ fn through_ball(h: f64) -> f64 {
 
 #[test]
 fn a_glass_ball_focuses_half_a_radius_behind_itself() {
-    // The ruler stands in the paraxial focus, n R / (2 (n - 1)) = 1.5 R from the centre: rays near the axis all meet its middle.
+    // The ruler stands in the paraxial focus, n R / (2 (n - 1)) = 1.5 R from the centre: rays near the axis all meet
+    // its middle.
     assert!(through_ball(0.01).abs() < 1e-5, "the formula itself");
     let worst = |rings: u32| {
         let mut stage = Stage::default();
@@ -161,7 +163,8 @@ fn a_ray_that_meets_nothing_behind_a_pane_leaves_it_half_covered() {
 
 #[test]
 fn a_smooth_mirror_never_looks_under_its_own_facets() {
-    // A coarse ball with normals that disagree wildly with its facets: every mirror ray must still leave it and see the surroundings.
+    // A coarse ball with normals that disagree wildly with its facets: every mirror ray must still leave it and see
+    // the surroundings.
     let mut stage = Stage::default();
     stage.ball([0.0; 3], 1.0, 6, mirror(1.0));
     for (i, normal) in stage.input.normals.iter_mut().enumerate() {

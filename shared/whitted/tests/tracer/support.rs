@@ -41,8 +41,8 @@ impl Stage {
         }
     }
 
-    /// Adds a parallelogram from `corner` along `u` and `v`; its front is on the side of `u x v`, its texture coordinates run
-    /// from (0, 0) at `corner` to (1, 1).
+    /// Adds a parallelogram from `corner` along `u` and `v`; its front is on the side of `u x v`, its texture
+    /// coordinates run from (0, 0) at `corner` to (1, 1).
     pub fn quad(&mut self, corner: [f64; 3], u: [f64; 3], v: [f64; 3], material: Material) {
         let (o, u, v) = (DVec3::from(corner), DVec3::from(u), DVec3::from(v));
         let at = |s: f64, t: f64| (o + u * s + v * t, Extra { uv: [s as f32, t as f32], ..BARE });
@@ -152,8 +152,8 @@ pub fn directional_light(direction: [f32; 3], intensity: f32) -> Light {
     Light { kind: LightKind::Directional as u32, direction: d.to_array(), ..point_light([0.0; 3], intensity) }
 }
 
-/// A 2 x 1 picture whose red rises from 0 to 1 between the texel centres at u = 1/4 and 3/4 while green is 1: red over green tells the
-/// place whatever dims both.
+/// A 2 x 1 picture whose red rises from 0 to 1 between the texel centres at u = 1/4 and 3/4 while green is 1: red
+/// over green tells the place whatever dims both.
 pub fn ruler() -> ImageInput {
     ImageInput {
         name: "ruler".into(),
