@@ -18,6 +18,7 @@ mod cornell;
 mod fittings;
 mod furnishing;
 mod hall;
+mod plant;
 mod rng;
 mod rooms;
 mod row;
@@ -40,11 +41,13 @@ pub enum Kind {
     Hall,
     /// Storeys of rooms.
     Rooms,
+    /// Pipes, tanks and gratings in a steel frame.
+    Plant,
 }
 
 impl Kind {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Cornell, Self::Hall, Self::Rooms];
+    pub const ALL: [Self; 4] = [Self::Cornell, Self::Hall, Self::Rooms, Self::Plant];
 
     /// Its name in scene files.
     pub fn name(self) -> &'static str {
@@ -52,6 +55,7 @@ impl Kind {
             Self::Cornell => "cornell",
             Self::Hall => "hall",
             Self::Rooms => "rooms",
+            Self::Plant => "plant",
         }
     }
 }
@@ -95,6 +99,7 @@ pub fn generate(recipe: &Recipe) -> Result<Scene, OutOfRange> {
         Kind::Cornell => (cornell::generate(recipe), None::<row::Reference>),
         Kind::Hall => (hall::generate(recipe), None),
         Kind::Rooms => (rooms::generate(recipe), Some(row::Reference::SODA_HALL)),
+        Kind::Plant => (plant::generate(recipe), Some(row::Reference::POWER_PLANT)),
     };
     scene.notes.push(format!(
         "generated: kind {}, seed {}, {} triangles asked for",
