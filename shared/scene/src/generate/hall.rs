@@ -48,16 +48,18 @@ pub(super) fn generate(recipe: &Recipe) -> Scene {
     for _ in 0..24 {
         let middle = libm::sqrt(coarse * fine);
         let detail = Detail { bays, cut: middle };
-        if build(recipe, detail, 0, false).total().triangles <= most {
+        if build(recipe, detail, 0, None).total().triangles <= most {
             coarse = middle;
         } else {
             fine = middle;
         }
     }
     let detail = Detail { bays, cut: coarse };
-    let without = build(recipe, detail, 0, false).total().triangles;
+    let without = build(recipe, detail, 0, None).total().triangles;
     let leaves = target.saturating_sub(without) / furnishing::LEAF_TRIANGLES;
-    build(recipe, detail, leaves, true).finish()
+    // Small scenes are made for tests, which need no fine images.
+    let texels = if detail.is_full() { 512 } else { 64 };
+    build(recipe, detail, leaves, Some(texels)).finish()
 }
 
 /// How finely everything is cut.
@@ -79,9 +81,9 @@ impl Detail {
     }
 }
 
-fn build(recipe: &Recipe, detail: Detail, ivy: u64, painted: bool) -> Assembly {
+fn build(recipe: &Recipe, detail: Detail, ivy: u64, texels: Option<u32>) -> Assembly {
     let mut a = Assembly::new("hall");
-    let stuff = materials(&mut a, recipe.seed, painted);
+    let stuff = materials(&mut a, recipe.seed, texels);
     let length = BAY * detail.bays as f64;
     let back = FRONT - length;
 
@@ -99,26 +101,25 @@ fn build(recipe: &Recipe, detail: Detail, ivy: u64, painted: bool) -> Assembly {
     a
 }
 
-fn materials(a: &mut Assembly, seed: u64, painted: bool) -> Stuff {
+fn materials(a: &mut Assembly, seed: u64, texels: Option<u32>) -> Stuff {
     // While only counting, an image of one texel is enough.
-    let mut image = |make: &dyn Fn() -> crate::Image| {
-        a.image(if painted {
-            make()
-        } else {
-            crate::Image { name: String::new(), width: 1, height: 1, rgba: [255; 4].into() }
-        })
-    };
-    let light = image(&|| textures::marble("light marble", [0.90, 0.87, 0.81], [0.62, 0.57, 0.50], seed));
-    let dark = image(&|| textures::marble("dark marble", [0.12, 0.17, 0.16], [0.55, 0.58, 0.52], seed ^ 11));
-    let rose = image(&|| textures::marble("rose marble", [0.80, 0.62, 0.54], [0.95, 0.88, 0.82], seed ^ 12));
-    let ashlar = image(&|| textures::ashlar("ashlar", [0.84, 0.78, 0.67], [0.62, 0.56, 0.47], seed ^ 13));
-    let bricks = image(&|| textures::bricks("bricks", [0.66, 0.36, 0.26], [0.76, 0.71, 0.64], seed ^ 14));
-    let wood = image(&|| textures::planks("wood", [0.52, 0.34, 0.19], seed ^ 15));
-    let stars = image(&|| textures::stars("stars", [0.13, 0.24, 0.48], [0.95, 0.78, 0.36], seed ^ 16));
-    let screen = image(&|| textures::screen("screen", [0.33, 0.27, 0.19], seed ^ 17));
-    let leaf = image(&|| textures::leaf("leaf", [0.26, 0.50, 0.16], [0.60, 0.75, 0.36], seed ^ 18));
-    let red = image(&|| textures::banner("red banner", [0.66, 0.10, 0.10], [0.93, 0.73, 0.30], seed ^ 19));
-    let blue = image(&|| textures::banner("blue banner", [0.12, 0.20, 0.50], [0.93, 0.73, 0.30], seed ^ 20));
+    let texels = texels.unwrap_or(1);
+    let mut image = |image| a.image(image);
+    let light = image(textures::marble("light marble", texels, [0.90, 0.87, 0.81], [0.62, 0.57, 0.50], seed));
+    let dark =
+        image(textures::marble("dark marble", texels, [0.12, 0.17, 0.16], [0.55, 0.58, 0.52], seed ^ 11));
+    let rose =
+        image(textures::marble("rose marble", texels, [0.80, 0.62, 0.54], [0.95, 0.88, 0.82], seed ^ 12));
+    let ashlar = image(textures::ashlar("ashlar", texels, [0.84, 0.78, 0.67], [0.62, 0.56, 0.47], seed ^ 13));
+    let bricks = image(textures::bricks("bricks", texels, [0.66, 0.36, 0.26], [0.76, 0.71, 0.64], seed ^ 14));
+    let wood = image(textures::planks("wood", texels, [0.52, 0.34, 0.19], seed ^ 15));
+    let stars = image(textures::stars("stars", texels, [0.13, 0.24, 0.48], [0.95, 0.78, 0.36], seed ^ 16));
+    let screen = image(textures::screen("screen", texels, [0.33, 0.27, 0.19], seed ^ 17));
+    let leaf = image(textures::leaf("leaf", texels, [0.26, 0.50, 0.16], [0.60, 0.75, 0.36], seed ^ 18));
+    let red =
+        image(textures::banner("red banner", texels, [0.66, 0.10, 0.10], [0.93, 0.73, 0.30], seed ^ 19));
+    let blue =
+        image(textures::banner("blue banner", texels, [0.12, 0.20, 0.50], [0.93, 0.73, 0.30], seed ^ 20));
     Stuff {
         light: a.material(polished(textured("light marble", light), 0.06)),
         dark: a.material(polished(textured("dark marble", dark), 0.22)),

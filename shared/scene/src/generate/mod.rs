@@ -14,6 +14,7 @@
 
 mod arches;
 mod assembly;
+mod city;
 mod cornell;
 mod fittings;
 mod furnishing;
@@ -43,11 +44,13 @@ pub enum Kind {
     Rooms,
     /// Pipes, tanks and gratings in a steel frame.
     Plant,
+    /// A street grid of houses.
+    City,
 }
 
 impl Kind {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Cornell, Self::Hall, Self::Rooms, Self::Plant];
+    pub const ALL: [Self; 5] = [Self::Cornell, Self::Hall, Self::Rooms, Self::Plant, Self::City];
 
     /// Its name in scene files.
     pub fn name(self) -> &'static str {
@@ -56,6 +59,7 @@ impl Kind {
             Self::Hall => "hall",
             Self::Rooms => "rooms",
             Self::Plant => "plant",
+            Self::City => "city",
         }
     }
 }
@@ -100,6 +104,7 @@ pub fn generate(recipe: &Recipe) -> Result<Scene, OutOfRange> {
         Kind::Hall => (hall::generate(recipe), None),
         Kind::Rooms => (rooms::generate(recipe), Some(row::Reference::SODA_HALL)),
         Kind::Plant => (plant::generate(recipe), Some(row::Reference::POWER_PLANT)),
+        Kind::City => (city::generate(recipe), None),
     };
     scene.notes.push(format!(
         "generated: kind {}, seed {}, {} triangles asked for",

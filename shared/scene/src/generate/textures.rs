@@ -1,18 +1,15 @@
-//! Images made by rule. All of them tile without a seam; colours are sRGB-coded.
+//! Images made by rule, `size` texels a side. All of them tile without a seam; colours are sRGB-coded.
 
 use super::rng::split_mix;
 use crate::Image;
 use std::f64::consts::{PI, TAU};
 
-/// Texels a side.
-const SIZE: u32 = 512;
-
 /// sRGB-coded, each in [0, 1].
 type Color = [f64; 3];
 
 /// Pale or dark marble: `ground` with veins of `vein`.
-pub(super) fn marble(name: &str, ground: Color, vein: Color, seed: u64) -> Image {
-    paint(name, |u, v| {
+pub(super) fn marble(name: &str, size: u32, ground: Color, vein: Color, seed: u64) -> Image {
+    paint(name, size, |u, v| {
         let bend = fbm(u, v, 4, 5, seed) - 0.5;
         let fine = fbm(u, v, 16, 3, seed ^ 1) - 0.5;
         // Whole numbers of waves along both sides, so that the picture tiles.
@@ -25,17 +22,18 @@ pub(super) fn marble(name: &str, ground: Color, vein: Color, seed: u64) -> Image
 }
 
 /// Cut stone in courses of half an image's width, each block a little different.
-pub(super) fn ashlar(name: &str, stone: Color, joint: Color, seed: u64) -> Image {
-    masonry(name, stone, joint, [2, 4], 0.012, 0.10, seed)
+pub(super) fn ashlar(name: &str, size: u32, stone: Color, joint: Color, seed: u64) -> Image {
+    masonry(name, size, stone, joint, [2, 4], 0.012, 0.10, seed)
 }
 
 /// Bricks: four along, twelve up.
-pub(super) fn bricks(name: &str, brick: Color, joint: Color, seed: u64) -> Image {
-    masonry(name, brick, joint, [4, 12], 0.008, 0.30, seed)
+pub(super) fn bricks(name: &str, size: u32, brick: Color, joint: Color, seed: u64) -> Image {
+    masonry(name, size, brick, joint, [4, 12], 0.008, 0.30, seed)
 }
 
 fn masonry(
     name: &str,
+    size: u32,
     stone: Color,
     joint: Color,
     [across, up]: [u32; 2],
@@ -43,7 +41,7 @@ fn masonry(
     spread: f64,
     seed: u64,
 ) -> Image {
-    paint(name, |u, v| {
+    paint(name, size, |u, v| {
         let row = (v * f64::from(up)).floor();
         let along = u * f64::from(across) + if row as u32 % 2 == 1 { 0.5 } else { 0.0 };
         let column = along.floor();
@@ -59,9 +57,9 @@ fn masonry(
 }
 
 /// Planks along v, four to an image.
-pub(super) fn planks(name: &str, wood: Color, seed: u64) -> Image {
+pub(super) fn planks(name: &str, size: u32, wood: Color, seed: u64) -> Image {
     const PLANKS: f64 = 4.0;
-    paint(name, |u, v| {
+    paint(name, size, |u, v| {
         let plank = (u * PLANKS).floor();
         let x = u * PLANKS - plank;
         let own = lattice_value(plank as i64, 0, seed);
@@ -75,8 +73,8 @@ pub(super) fn planks(name: &str, wood: Color, seed: u64) -> Image {
 }
 
 /// A night-blue ground with gold stars in staggered rows.
-pub(super) fn stars(name: &str, ground: Color, gold: Color, seed: u64) -> Image {
-    paint(name, |u, v| {
+pub(super) fn stars(name: &str, size: u32, ground: Color, gold: Color, seed: u64) -> Image {
+    paint(name, size, |u, v| {
         let row = (v * 4.0).floor();
         let x = (u * 4.0 + if row as u32 % 2 == 1 { 0.5 } else { 0.0 }).fract() - 0.5;
         let y = v * 4.0 - row - 0.5;
@@ -91,8 +89,8 @@ pub(super) fn stars(name: &str, ground: Color, gold: Color, seed: u64) -> Image 
 }
 
 /// A pierced screen: rings that cross, with holes between; alpha is 0 in the holes.
-pub(super) fn screen(name: &str, metal: Color, seed: u64) -> Image {
-    paint(name, |u, v| {
+pub(super) fn screen(name: &str, size: u32, metal: Color, seed: u64) -> Image {
+    paint(name, size, |u, v| {
         let ring = |cx: f64, cy: f64, radius: f64| {
             let (dx, dy) = (wrap_distance(u - cx), wrap_distance(v - cy));
             (libm::sqrt(dx * dx + dy * dy) - radius).abs()
@@ -107,8 +105,8 @@ pub(super) fn screen(name: &str, metal: Color, seed: u64) -> Image {
 }
 
 /// One leaf with its tip at the top; alpha is 0 around it.
-pub(super) fn leaf(name: &str, green: Color, vein: Color, seed: u64) -> Image {
-    paint(name, |u, v| {
+pub(super) fn leaf(name: &str, size: u32, green: Color, vein: Color, seed: u64) -> Image {
+    paint(name, size, |u, v| {
         // Half width along the leaf: widest below the middle, pointed at the tip, a stalk at the foot.
         let along = 1.0 - v;
         let half = 0.44 * libm::pow(libm::sin(PI * libm::pow(along, 0.75)).max(0.0), 0.8);
@@ -124,8 +122,8 @@ pub(super) fn leaf(name: &str, green: Color, vein: Color, seed: u64) -> Image {
 }
 
 /// Cloth with a gold border and a diamond pattern, to be shown once over a banner.
-pub(super) fn banner(name: &str, cloth: Color, gold: Color, seed: u64) -> Image {
-    paint(name, |u, v| {
+pub(super) fn banner(name: &str, size: u32, cloth: Color, gold: Color, seed: u64) -> Image {
+    paint(name, size, |u, v| {
         let edge = u.min(1.0 - u).min(0.5 * v.min(1.0 - v));
         let border = (edge > 0.045 && edge < 0.075) || (edge > 0.09 && edge < 0.10);
         let (x, y) = ((u * 4.0).fract() - 0.5, (v * 10.0).fract() - 0.5);
@@ -137,15 +135,15 @@ pub(super) fn banner(name: &str, cloth: Color, gold: Color, seed: u64) -> Image 
     })
 }
 
-fn paint(name: &str, color: impl Fn(f64, f64) -> [f64; 4]) -> Image {
-    let mut rgba = Vec::with_capacity((SIZE * SIZE * 4) as usize);
-    for y in 0..SIZE {
-        for x in 0..SIZE {
-            let at = |k: u32| (f64::from(k) + 0.5) / f64::from(SIZE);
+fn paint(name: &str, size: u32, color: impl Fn(f64, f64) -> [f64; 4]) -> Image {
+    let mut rgba = Vec::with_capacity((size * size * 4) as usize);
+    for y in 0..size {
+        for x in 0..size {
+            let at = |k: u32| (f64::from(k) + 0.5) / f64::from(size);
             rgba.extend(color(at(x), at(y)).map(|c| (c.clamp(0.0, 1.0) * 255.0 + 0.5) as u8));
         }
     }
-    Image { name: name.to_owned(), width: SIZE, height: SIZE, rgba: rgba.into() }
+    Image { name: name.to_owned(), width: size, height: size, rgba: rgba.into() }
 }
 
 fn opaque([r, g, b]: Color) -> [f64; 4] {
@@ -218,7 +216,7 @@ mod tests {
 
     #[test]
     fn cut_outs_have_holes_and_substance() {
-        for image in [screen("screen", [0.5; 3], 1), leaf("leaf", [0.2, 0.5, 0.1], [0.5; 3], 1)] {
+        for image in [screen("screen", 256, [0.5; 3], 1), leaf("leaf", 256, [0.2, 0.5, 0.1], [0.5; 3], 1)] {
             let solid = image.rgba.chunks_exact(4).filter(|t| t[3] == 255).count() as f64;
             let share = solid / f64::from(image.width * image.height);
             assert!((0.25..0.75).contains(&share), "{}: {share}", image.name);

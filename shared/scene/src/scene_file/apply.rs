@@ -6,7 +6,7 @@ use super::schema::{
     Normals, Up,
 };
 use super::{ground, smooth};
-use crate::{AlphaMode, Camera, Environment, Light, LightKind, Material, Node, Scene, SceneError};
+use crate::{AlphaMode, Camera, Environment, Light, LightKind, Material, Scene, SceneError};
 use glam::{DMat4, DVec3};
 use std::f32::consts::PI;
 use tessera_geometry::CameraPose;

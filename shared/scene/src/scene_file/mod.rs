@@ -27,9 +27,12 @@ pub struct LoadOptions {
 }
 
 /// Scene files that are part of the program: name and text. They are generated, so they need no other file.
-const BUILT_IN: [(&str, &str); 2] = [
+const BUILT_IN: [(&str, &str); 5] = [
     ("cornell", include_str!("../../../../scenes/cornell.toml")),
     ("hall", include_str!("../../../../scenes/hall.toml")),
+    ("rooms", include_str!("../../../../scenes/rooms.toml")),
+    ("plant", include_str!("../../../../scenes/plant.toml")),
+    ("city", include_str!("../../../../scenes/city.toml")),
 ];
 
 /// Bytes that a scene file may have: far more than one written by hand.
