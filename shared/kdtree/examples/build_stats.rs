@@ -29,7 +29,9 @@ fn main() -> anyhow::Result<()> {
     let mesh = Mesh(on_grid(triangles));
     let count = u32::try_from(mesh.0.len())?;
     println!("{source} {kind}: {count} triangles, {} threads", rayon::current_num_threads());
-    println!("refs  inner0  inner1  inner2  leaves  empty  leaf refs  depth  B/triangle  ratio  wall s  CPU s  us/ray");
+    println!(
+        "refs  inner0  inner1  inner2  leaves  empty  leaf refs  depth  B/triangle  ratio  wall s  CPU s  us/ray"
+    );
 
     let mut standard = None;
     for max_refs in 0..=2 {

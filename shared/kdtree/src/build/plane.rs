@@ -80,12 +80,16 @@ impl AxisCost {
         Self { axis, min, max, ends: 2.0 * u * v / area, sides: 2.0 * (u + v) / area, costs: *costs }
     }
 
-    /// Offers the plane at `position` with `low` and `high` triangles on its sides and `flat` ones in it.
+    /// Whether a plane at `position` would leave both halves a volume.
+    #[inline]
+    fn is_inside(&self, position: f32) -> bool {
+        self.min < position && position < self.max
+    }
+
+    /// Offers the plane at `position`, inside the cell, with `low` and `high` triangles on its sides and `flat` ones in it.
     #[inline]
     fn offer(&self, best: &mut Best, position: f32, low: usize, flat: usize, high: usize) {
-        if !(self.min < position && position < self.max) {
-            return;
-        }
+        debug_assert!(self.is_inside(position));
         let low_share = self.ends + self.sides * (f64::from(position) - f64::from(self.min));
         let high_share = self.ends + self.sides * (f64::from(self.max) - f64::from(position));
         let cost = |low: usize, high: usize| {
@@ -117,7 +121,9 @@ pub(super) fn sweep(events: &[Vec<Event>; 3], count: usize, cell: &Cell, costs: 
                 starts += usize::from(event.is(Kind::Start));
             }
             high -= ends + flat;
-            axis_cost.offer(&mut best, position(key), low, flat, high);
+            if axis_cost.is_inside(position(key)) {
+                axis_cost.offer(&mut best, position(key), low, flat, high);
+            }
             low += starts + flat;
         }
     }
@@ -129,41 +135,136 @@ pub(super) const COUNTED: usize = 32;
 
 /// The same plane as [`sweep`] finds, by counting both sides of every candidate: no order to keep, and no branches.
 pub(super) fn count(boxes: &[Cell], cell: &Cell, costs: &Costs) -> Option<Plane> {
-    const LANES: usize = 8;
     debug_assert!(boxes.len() <= COUNTED);
     let mut best = Best::new(boxes.len(), costs);
     for axis in 0..3 {
         let axis_cost = AxisCost::new(cell, axis, costs);
-        // Boxes that are not there lie on no side of any plane.
-        let mut mins = [[f32::INFINITY; LANES]; COUNTED / LANES];
-        let mut maxs = [[f32::NEG_INFINITY; LANES]; COUNTED / LANES];
-        for (i, b) in boxes.iter().enumerate() {
-            mins[i / LANES][i % LANES] = b.min[axis];
-            maxs[i / LANES][i % LANES] = b.max[axis];
-        }
-        let used = boxes.len().div_ceil(LANES);
-        let (mins, maxs) = (&mins[..used], &maxs[..used]);
-        let mut offer = |at: f32| {
-            if !(cell.min[axis] < at && at < cell.max[axis]) {
-                return;
-            }
-            let [mut low, mut flat, mut high] = [[0u32; LANES]; 3];
-            for (mins, maxs) in mins.iter().zip(maxs) {
-                for lane in 0..LANES {
-                    low[lane] += u32::from(mins[lane] < at);
-                    high[lane] += u32::from(maxs[lane] > at);
-                    flat[lane] += u32::from((mins[lane] == at) & (maxs[lane] == at));
-                }
-            }
-            let [low, flat, high] = [low, flat, high].map(|lanes| lanes.iter().sum::<u32>() as usize);
-            axis_cost.offer(&mut best, at, low, flat, high);
-        };
+        let ends = Ends::new(boxes, axis);
         for b in boxes {
-            offer(b.min[axis]);
-            if b.max[axis] != b.min[axis] {
-                offer(b.max[axis]);
+            let (min, max) = (b.min[axis], b.max[axis]);
+            let candidates = if min == max { 1 } else { 2 };
+            for at in [min, max].into_iter().take(candidates) {
+                if axis_cost.is_inside(at) {
+                    let [low, flat, high] = ends.count(at);
+                    axis_cost.offer(&mut best, at, low, flat, high);
+                }
             }
         }
     }
     best.plane
+}
+
+/// The ends of up to [`COUNTED`] boxes along an axis, in lanes that compilers turn into vector registers.
+struct Ends {
+    min: [[f32; LANES]; COUNTED / LANES],
+    max: [[f32; LANES]; COUNTED / LANES],
+    used: usize,
+}
+
+const LANES: usize = 8;
+
+// The three counts share a word, a byte each.
+const _: () = assert!(COUNTED.is_multiple_of(LANES) && COUNTED < 256);
+
+impl Ends {
+    fn new(boxes: &[Cell], axis: usize) -> Self {
+        let mut ends = Self {
+            // Lanes without a box lie on no side of any plane.
+            min: [[f32::INFINITY; LANES]; COUNTED / LANES],
+            max: [[f32::NEG_INFINITY; LANES]; COUNTED / LANES],
+            used: boxes.len().div_ceil(LANES),
+        };
+        for (i, b) in boxes.iter().enumerate() {
+            ends.min[i / LANES][i % LANES] = b.min[axis];
+            ends.max[i / LANES][i % LANES] = b.max[axis];
+        }
+        ends
+    }
+
+    /// How many boxes reach below `at`, lie in it, and reach above it.
+    #[inline]
+    fn count(&self, at: f32) -> [usize; 3] {
+        let mut counts = [0u32; LANES];
+        for (min, max) in self.min[..self.used].iter().zip(&self.max) {
+            for lane in 0..LANES {
+                let low = u32::from(min[lane] < at);
+                let flat = u32::from(min[lane] == at) & u32::from(max[lane] == at);
+                let high = u32::from(max[lane] > at);
+                counts[lane] += low | flat << 8 | high << 16;
+            }
+        }
+        let sum: u32 = counts.iter().sum();
+        [sum & 0xFF, sum >> 8 & 0xFF, sum >> 16].map(|count| count as usize)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::build::events::push_events;
+
+    fn sorted_events(boxes: &[Cell]) -> [Vec<Event>; 3] {
+        std::array::from_fn(|axis| {
+            let mut events = Vec::new();
+            for (b, index) in boxes.iter().zip(0..) {
+                push_events(&mut events, b, axis, index);
+            }
+            events.sort_unstable();
+            events
+        })
+    }
+
+    const CUBE: Cell = Cell { min: [0.0; 3], max: [8.0; 3] };
+
+    fn costs() -> Costs {
+        Costs::new(&BuildOptions::default())
+    }
+
+    #[test]
+    fn counting_and_sweeping_choose_the_same_plane() {
+        // Coordinates of a coarse grid, so that planes coincide, cost the same and hold flat boxes.
+        let mut state = 1u64;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as usize
+        };
+        let mut found = 0;
+        for case in 0..2000 {
+            let boxes: Vec<Cell> = (0..case % (COUNTED + 1))
+                .map(|_| {
+                    let [a, b] = [0, 1].map(|_| [0; 3].map(|_| (next() % 9) as f32));
+                    Cell {
+                        min: std::array::from_fn(|k| a[k].min(b[k])),
+                        max: std::array::from_fn(|k| a[k].max(b[k])),
+                    }
+                })
+                .collect();
+            let swept = sweep(&sorted_events(&boxes), boxes.len(), &CUBE, &costs());
+            assert_eq!(count(&boxes, &CUBE, &costs()), swept, "case {case}: {boxes:?}");
+            found += usize::from(swept.is_some());
+        }
+        assert!(found > 500, "only {found} cases had a plane worth taking");
+    }
+
+    #[test]
+    fn a_plane_is_taken_only_when_it_is_cheaper_than_a_leaf() {
+        let near = |x: f32| Cell { min: [x, 1.0, 1.0], max: [x + 1.0, 2.0, 2.0] };
+        // Two triangles in opposite corners: cutting costs 15 + 20 (SA_L + SA_R) / SA > 40 only for planes that part them badly.
+        let plane = count(&[near(0.0), near(7.0)], &CUBE, &costs()).unwrap();
+        assert_eq!((plane.axis, plane.position), (1, 2.0), "half of the cell cut off empty is cheapest");
+        // Copies of one box that fills the cell cannot be parted.
+        assert_eq!(count(&[CUBE; 20], &CUBE, &costs()), None);
+        assert_eq!(count(&[], &CUBE, &costs()), None);
+    }
+
+    #[test]
+    fn flat_triangles_go_to_the_cheaper_side() {
+        // Eight triangles in the plane x = 2: on the small side they cost less.
+        let flat = Cell { min: [2.0, 0.0, 0.0], max: [2.0, 8.0, 8.0] };
+        let plane = count(&[flat; 8], &CUBE, &costs()).unwrap();
+        assert_eq!(plane, Plane { axis: 0, position: 2.0, flat_go_low: true });
+        let flat = Cell { min: [6.0, 0.0, 0.0], max: [6.0, 8.0, 8.0] };
+        let plane = count(&[flat; 8], &CUBE, &costs()).unwrap();
+        assert_eq!(plane, Plane { axis: 0, position: 6.0, flat_go_low: false });
+    }
 }
