@@ -178,10 +178,9 @@ pub struct MeshView<'a> {
     faces: &'a [[u32; 3]],
     records: &'a [u32],
     record_words: usize,
-    cells: CellTable<'a>,
+    positions: Positions<'a>,
     /// Added to a voxel's coordinates: half a voxel, minus the grid's centre. Exact, as is the sum.
     bias: [f32; 3],
-    plain_positions: &'a [[f32; 3]],
     plain_normals: &'a [[f32; 3]],
     plain_uvs: &'a [[f32; 2]],
     side_uvs: &'a [SideUv],
@@ -192,20 +191,15 @@ pub struct MeshView<'a> {
     has_uvs: bool,
 }
 
+/// Where positions come from.
 #[derive(Clone, Copy)]
-enum CellTable<'a> {
+enum Positions<'a> {
+    /// Records and a cell table of `u32`.
     Narrow(&'a [u32]),
+    /// Records and a cell table of `u64`.
     Wide(&'a [u64]),
-}
-
-impl CellTable<'_> {
-    #[inline]
-    fn get(&self, index: u16) -> [u32; 3] {
-        match self {
-            Self::Narrow(table) => narrow_cell(table[usize::from(index)]),
-            Self::Wide(table) => wide_cell(table[usize::from(index)]),
-        }
-    }
+    /// Held as they are.
+    Plain(&'a [[f32; 3]]),
 }
 
 /// The elements of a section; an absent one may have any alignment.
@@ -231,23 +225,22 @@ pub(crate) fn wide_cell(entry: u64) -> [u32; 3] {
 impl<'a> MeshView<'a> {
     /// A view over sections whose lengths were checked.
     pub(crate) fn new(head: &Head, section: &dyn Fn(Section) -> &'a [u8]) -> Self {
-        let cells = section(Section::Cells);
-        let side_uvs = section(Section::SideUvs);
         Self {
             faces: elements(section(Section::Faces)),
             records: elements(section(Section::Records)),
             record_words: head.record_words as usize,
-            cells: if cells_are_wide(head.cells) {
-                CellTable::Wide(elements(cells))
+            positions: if !section(Section::Positions).is_empty() {
+                Positions::Plain(elements(section(Section::Positions)))
+            } else if cells_are_wide(head.cells) {
+                Positions::Wide(elements(section(Section::Cells)))
             } else {
-                CellTable::Narrow(elements(cells))
+                Positions::Narrow(elements(section(Section::Cells)))
             },
             // n <= 8192: 512 n and the half are exact.
             bias: head.cells.map(|n| 0.5 - (n * (VOXELS_PER_CELL / 2)) as f32),
-            plain_positions: elements(section(Section::Positions)),
             plain_normals: elements(section(Section::Normals)),
             plain_uvs: elements(section(Section::Uvs)),
-            side_uvs: elements(side_uvs),
+            side_uvs: elements(section(Section::SideUvs)),
             colors: elements(section(Section::Colors)),
             normal_table: NormalTable::get().entries(),
             srgb: srgb8_to_linear_table(),
@@ -265,11 +258,19 @@ impl<'a> MeshView<'a> {
     /// Decoded local position, exact: a voxel's centre (or a plain position).
     #[inline]
     pub fn position(&self, vertex: u32) -> Vec3 {
-        if !self.plain_positions.is_empty() {
-            return Vec3::from_array(self.plain_positions[vertex as usize]);
+        match self.positions {
+            Positions::Narrow(cells) => self.decode(vertex, |index| narrow_cell(cells[index])),
+            Positions::Wide(cells) => self.decode(vertex, |index| wide_cell(cells[index])),
+            Positions::Plain(positions) => Vec3::from_array(positions[vertex as usize]),
         }
-        let record = self.record(vertex);
-        let cell = self.cells.get(record.cell());
+    }
+
+    #[inline]
+    fn decode(&self, vertex: u32, cell: impl Fn(usize) -> [u32; 3]) -> Vec3 {
+        // Positions need the first two words only.
+        let at = vertex as usize * self.record_words;
+        let record = Record([self.records[at], self.records[at + 1], 0]);
+        let cell = cell(usize::from(record.cell()));
         let offsets = record.offsets();
         // Voxel coordinates are below 2^23 and the result is a half within 2^22: both exact in f32.
         let axis = |k: usize| (cell[k] << 10 | offsets[k]) as f32 + self.bias[k];
