@@ -11,6 +11,7 @@ use bytemuck::Pod;
 use rayon::prelude::*;
 use tessera_geometry::{Aabb, Vec3};
 use tessera_kdtree::TreeView;
+use tessera_kdtree::node::MAX_DEPTH;
 use tessera_quantize::grid::{MAX_CELLS, MAX_COORDINATE, MAX_INTERVALS, MIN_EXTENT, VOXELS_PER_CELL};
 use tessera_quantize::normal::{ENTRIES, NO_NORMAL};
 use tessera_quantize::uv::MAX_UV;
@@ -110,6 +111,9 @@ fn check_head(head: &Head) -> Result<(), PackError> {
     }
     if head.triangles > head.source_triangles {
         return bad("more triangles than the scene had");
+    }
+    if head.tree_depth > MAX_DEPTH {
+        return bad("the kd-tree is deeper than a traversal stack");
     }
     if head.flags & !Head::HAS_NORMALS != 0 {
         return bad("unknown flags");
