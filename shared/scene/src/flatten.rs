@@ -30,20 +30,45 @@ impl Scene {
     /// [`SceneError::Invalid`] when the counts exceed [`FLAT_MAX`], the tree is deeper than [`NODE_DEPTH_MAX`] (or has a cycle), or
     /// an index of the document is out of range.
     pub fn flatten(&self) -> Result<FlatMesh, SceneError> {
-        let invalid = |what: String| SceneError::Invalid { path: PathBuf::from(&self.name), what };
-        let instances = self.instances().map_err(invalid)?;
-        let mut flat = self.reserve(&instances).map_err(invalid)?;
-        for (mesh, to_world) in &instances {
-            for primitive in &self.meshes[*mesh].primitives {
+        let size = self.flat_size()?;
+        let mut flat = FlatMesh::with_room(&size);
+        self.walk(|mesh, to_world| {
+            for primitive in &self.meshes[mesh].primitives {
                 flat.append(primitive, to_world);
             }
-        }
+            Ok(())
+        })
+        .map_err(|what| self.invalid(what))?;
         Ok(flat)
     }
 
-    /// Every use of a mesh with its transform to world space, nodes depth first in file order.
-    fn instances(&self) -> Result<Vec<(usize, DMat4)>, String> {
-        let mut instances = Vec::new();
+    /// What [`Scene::flatten`] would make, counted without making it; its errors are the same.
+    pub(crate) fn flat_size(&self) -> Result<FlatSize, SceneError> {
+        let mut meshes = Vec::with_capacity(self.meshes.len());
+        for mesh in &self.meshes {
+            let mut size = FlatSize::default();
+            for primitive in mesh.primitives.iter().filter(|primitive| !primitive.triangles.is_empty()) {
+                self.check(primitive).map_err(|what| self.invalid(what))?;
+                size.add(&FlatSize::of(primitive));
+            }
+            meshes.push(size);
+        }
+        let mut size = FlatSize::default();
+        self.walk(|mesh, _| {
+            size.add(&meshes[mesh]);
+            if size.vertices > FLAT_MAX || size.triangles > FLAT_MAX {
+                return Err(format!(
+                    "has more than {FLAT_MAX} triangles or vertices after instancing, the limit; use a smaller part of it"
+                ));
+            }
+            Ok(())
+        })
+        .map_err(|what| self.invalid(what))?;
+        Ok(size)
+    }
+
+    /// Calls `visit` with every use of a mesh and its transform to world space, nodes depth first in file order.
+    fn walk(&self, mut visit: impl FnMut(usize, &DMat4) -> Result<(), String>) -> Result<(), String> {
         let mut stack: Vec<(usize, DMat4, usize)> =
             self.roots.iter().rev().map(|&root| (root, DMat4::IDENTITY, 1)).collect();
         while let Some((index, to_parent, depth)) = stack.pop() {
@@ -56,43 +81,15 @@ impl Scene {
                 if mesh >= self.meshes.len() {
                     return Err(format!("node {index} names mesh {mesh}, which does not exist"));
                 }
-                instances.push((mesh, to_world));
+                visit(mesh, &to_world)?;
             }
             stack.extend(node.children.iter().rev().map(|&child| (child, to_world, depth + 1)));
         }
-        Ok(instances)
+        Ok(())
     }
 
-    /// Empty arrays with room for all instances; the sizes are checked first.
-    fn reserve(&self, instances: &[(usize, DMat4)]) -> Result<FlatMesh, String> {
-        let (mut vertices, mut triangles) = (0_u64, 0_u64);
-        let mut has = [false; 3];
-        for (mesh, _) in instances {
-            for primitive in &self.meshes[*mesh].primitives {
-                self.check(primitive)?;
-                vertices += primitive.positions.len() as u64;
-                triangles += primitive.triangles.len() as u64;
-                has[0] |= !primitive.normals.is_empty();
-                has[1] |= !primitive.uvs.is_empty();
-                has[2] |= !primitive.colors.is_empty();
-            }
-            if vertices > FLAT_MAX || triangles > FLAT_MAX {
-                return Err(format!(
-                    "has more than {FLAT_MAX} triangles or vertices after instancing, the limit; use a smaller part of it"
-                ));
-            }
-        }
-        // Both fit, as the limit is far below 32 bits.
-        let (vertices, triangles) = (vertices as usize, triangles as usize);
-        let room = |has: bool| if has { vertices } else { 0 };
-        Ok(FlatMesh {
-            positions: Vec::with_capacity(vertices),
-            normals: Vec::with_capacity(room(has[0])),
-            uvs: Vec::with_capacity(room(has[1])),
-            colors: Vec::with_capacity(room(has[2])),
-            triangles: Vec::with_capacity(triangles),
-            material_runs: Vec::new(),
-        })
+    fn invalid(&self, what: String) -> SceneError {
+        SceneError::Invalid { path: PathBuf::from(&self.name), what }
     }
 
     /// The promises of [`Primitive`], which importers and generators keep.
@@ -111,7 +108,51 @@ impl Scene {
     }
 }
 
+/// How much a flattened scene, or a part of it, holds.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct FlatSize {
+    pub(crate) vertices: u64,
+    pub(crate) triangles: u64,
+    has_normals: bool,
+    has_uvs: bool,
+    has_colors: bool,
+}
+
+impl FlatSize {
+    fn of(primitive: &Primitive) -> Self {
+        Self {
+            vertices: primitive.positions.len() as u64,
+            triangles: primitive.triangles.len() as u64,
+            has_normals: !primitive.normals.is_empty(),
+            has_uvs: !primitive.uvs.is_empty(),
+            has_colors: !primitive.colors.is_empty(),
+        }
+    }
+
+    /// Sums saturate: what is beyond 64 bits is beyond every limit.
+    fn add(&mut self, other: &Self) {
+        self.vertices = self.vertices.saturating_add(other.vertices);
+        self.triangles = self.triangles.saturating_add(other.triangles);
+        self.has_normals |= other.has_normals;
+        self.has_uvs |= other.has_uvs;
+        self.has_colors |= other.has_colors;
+    }
+}
+
 impl FlatMesh {
+    /// Empty arrays with room for a size below [`FLAT_MAX`].
+    fn with_room(size: &FlatSize) -> Self {
+        let room = |has: bool| if has { size.vertices as usize } else { 0 };
+        Self {
+            positions: Vec::with_capacity(room(true)),
+            normals: Vec::with_capacity(room(size.has_normals)),
+            uvs: Vec::with_capacity(room(size.has_uvs)),
+            colors: Vec::with_capacity(room(size.has_colors)),
+            triangles: Vec::with_capacity(size.triangles as usize),
+            material_runs: Vec::new(),
+        }
+    }
+
     /// Appends one instance; room was reserved, and what has capacity is filled.
     fn append(&mut self, primitive: &Primitive, to_world: &DMat4) {
         if primitive.triangles.is_empty() {

@@ -74,7 +74,7 @@ fn sponza() {
 
 #[test]
 fn san_miguel() {
-    let Some((scene, flat, selection)) =
+    let Some((scene, _, selection)) =
         check("san_miguel_partial/san_miguel.gltf", (9_407_550, 5_992_264, 295, 224))
     else {
         return;

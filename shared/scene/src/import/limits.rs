@@ -51,3 +51,6 @@ pub const WARNINGS_MAX: usize = 100;
 
 /// Characters of a name from a file that a message repeats.
 pub const NAME_SHOWN_MAX: usize = 100;
+
+/// Characters of a name that the document keeps.
+pub const NAME_KEPT_MAX: usize = 256;

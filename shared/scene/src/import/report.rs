@@ -1,6 +1,6 @@
 //! What an importer says while it reads: errors with their place, warnings, counts.
 
-use super::limits::{NAME_SHOWN_MAX, WARNINGS_MAX};
+use super::limits::{NAME_KEPT_MAX, NAME_SHOWN_MAX, WARNINGS_MAX};
 use crate::{Scene, SceneError};
 use std::path::{Path, PathBuf};
 
@@ -66,6 +66,12 @@ pub(crate) fn shown(name: &str) -> String {
     out
 }
 
+/// A name from a file as the scene keeps it: no control characters (it will be printed), and not without end.
+pub(crate) fn clean(name: &str) -> String {
+    let printable = |c: char| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c };
+    name.chars().take(NAME_KEPT_MAX).map(printable).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -90,6 +96,7 @@ mod tests {
     #[test]
     fn names_cannot_steer_a_terminal() {
         assert_eq!(shown("a\u{1b}[2Jb"), "a\\u{1b}[2Jb");
+        assert_eq!(clean("a\u{1b}[2J\nb c"), "a\u{fffd}[2J\u{fffd}b c");
         assert_eq!(shown(&"x".repeat(200)).len(), NAME_SHOWN_MAX + 3);
     }
 }

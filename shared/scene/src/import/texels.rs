@@ -1,6 +1,7 @@
 //! Decodes images within limits.
 
 use super::limits::{IMAGE_SIDE_MAX, IMAGE_TEXELS_MAX, TOTAL_TEXELS_MAX};
+use super::report::clean;
 use crate::Image;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use std::io::Cursor;
@@ -46,7 +47,7 @@ impl TexelReader {
         }
         let rgba = DynamicImage::from_decoder(decoder).map_err(broken)?.into_rgba8();
         self.texels_left -= texels;
-        Ok(Image { name: name.to_owned(), width, height, rgba: rgba.into_raw().into() })
+        Ok(Image { name: clean(name), width, height, rgba: rgba.into_raw().into() })
     }
 }
 

@@ -41,7 +41,7 @@ impl MeshReader<'_> {
         Ok(mesh)
     }
 
-    /// One primitive; `None` when it is of points or lines.
+    /// One primitive; `None` when it has no triangles.
     fn primitive(
         &mut self,
         source: &json::mesh::Primitive,
@@ -108,6 +108,10 @@ impl MeshReader<'_> {
         let mut corners = self.corners(source, count)?;
         let keep = compact(&mut corners, count);
         let triangles = assemble(&corners, mode)?;
+        if triangles.is_empty() {
+            report.drop("primitives without triangles", 1);
+            return Ok(None);
+        }
         let vertices = keep.as_ref().map_or(count, Vec::len);
         self.vertices += vertices as u64;
         self.triangles += triangles.len() as u64;

@@ -32,7 +32,7 @@ mod tree;
 mod tests;
 
 use super::limits::SOURCE_BYTES_MAX;
-use super::report::Report;
+use super::report::{Report, clean};
 use super::resolve::{Resolver, Syntax, read_source};
 use crate::{Material, Scene, SceneError};
 use ::gltf::json;
@@ -132,7 +132,7 @@ fn checked<T>(value: &Checked<T>) -> Result<&T, String> {
 /// A given name, or `what index`.
 fn name_or(name: &Option<String>, what: &str, index: usize) -> String {
     match name {
-        Some(name) if !name.is_empty() => name.clone(),
+        Some(name) if !name.is_empty() => clean(name),
         _ => format!("{what} {index}"),
     }
 }

@@ -585,3 +585,23 @@ fn no_json_brings_the_parser_down() {
     let many = format!("{{\"asset\":{{\"version\":\"2.0\"}},\"nodes\":[{nodes}]}}");
     assert!(import_bytes(many.as_bytes()).unwrap_err().contains("JSON objects, more than"));
 }
+
+#[test]
+fn a_flood_of_instances_is_refused_by_counting() {
+    let mut draft = Draft::new();
+    let corners = 1 << 14;
+    let positions: Vec<f32> = (0..corners).flat_map(|i| [i as f32, (i % 2) as f32, 0.0]).collect();
+    let positions = draft.floats("VEC3", &positions);
+    draft.primitive(json!({"attributes": {"POSITION": positions}, "mode": 5}));
+    let nodes = 1 << 14;
+    draft.json["nodes"] = (0..nodes).map(|_| json!({"mesh": 0})).collect();
+    draft.json["scenes"][0]["nodes"] = (0..nodes).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("flood.gltf");
+    std::fs::write(&path, draft.json_with_buffer().to_string()).unwrap();
+    let error = crate::import::import(&path).unwrap_err().to_string();
+    assert!(
+        error.contains("flood.gltf: has more than 134217728 triangles or vertices after instancing"),
+        "{error}"
+    );
+}

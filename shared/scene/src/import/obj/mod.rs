@@ -22,7 +22,7 @@ mod mtl;
 mod tests;
 
 use super::limits::{DOCUMENT_TRIANGLES_MAX, DOCUMENT_VERTICES_MAX, POLYGON_CORNERS_MAX};
-use super::report::{Report, shown};
+use super::report::{Report, clean, shown};
 use super::resolve::{Resolver, read_source};
 use super::texels::code;
 use crate::{Material, Mesh, Node, Primitive, Scene, SceneError};
@@ -174,7 +174,7 @@ impl Reader {
             "f" | "fo" => self.face(words)?,
             "l" | "p" => self.points_and_lines += 1,
             "o" | "g" => {
-                self.groups.push(Group { name: after(line, keyword).to_owned(), ..Group::default() });
+                self.groups.push(Group { name: clean(after(line, keyword)), ..Group::default() });
             }
             "usemtl" => {
                 let name = after(line, keyword);

@@ -20,7 +20,7 @@
 
 use super::{Lines, after};
 use crate::import::limits::IMAGE_BYTES_MAX;
-use crate::import::report::{Report, shown};
+use crate::import::report::{Report, clean, shown};
 use crate::import::resolve::{Resolver, Syntax};
 use crate::import::texels::TexelReader;
 use crate::{AlphaMode, Image, Material, SceneError, TextureRef, Wrap};
@@ -144,7 +144,7 @@ impl Libraries {
         report: &mut Report,
     ) -> Result<(Material, UvTransform), SceneError> {
         let mut material = draft.surface();
-        material.name = name.to_owned();
+        material.name = clean(name);
         let base = match (&draft.map_kd, &draft.map_d) {
             (None, None) => None,
             (color, opacity) => {
