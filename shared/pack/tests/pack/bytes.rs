@@ -3,9 +3,10 @@
 use crate::support::everything;
 use std::ops::Range;
 use tessera_geometry::{Ray, Vec3};
+use tessera_pack::format::Section;
 use tessera_pack::{NO_TEXTURE, Pack, PackError, PackOptions, Plain, build_pack};
 
-/// Three packs that have every section between them.
+/// Four packs that have every section between them.
 fn packs() -> Vec<Pack> {
     let plain = [
         Plain::default(),
@@ -92,6 +93,7 @@ fn read_all(pack: &Pack) {
     assert!(pack.frame().to_world(Vec3::ONE).is_finite());
     assert!(pack.lights().iter().all(|l| l.position.iter().all(|x| x.is_finite())));
     assert!(pack.environment().up.iter().all(|x| x.is_finite()));
+    assert!(pack.cameras().iter().all(|c| c.name().is_some_and(|n| !n.is_empty())));
     assert!(pack.ambient().radiance.iter().all(|x| x.is_finite()));
 }
 
@@ -161,7 +163,7 @@ fn forged_content_is_refused_or_harmless() {
         assert_eq!(*refused > 0, !matches!(name.as_str(), "color" | "texel"), "{name}: {refused} {passed}");
         assert!(*passed > 0, "{name}: {refused} {passed}");
     }
-    assert!(outcomes.len() >= 19, "every section was there: {outcomes:?}");
+    assert_eq!(outcomes.len(), Section::ALL.len() + 2, "every section was there: {outcomes:?}");
 }
 
 /// Overwrites `new` at `offset` of `section` and returns the message of the refusal.
@@ -239,6 +241,7 @@ fn refusals_name_section_place_and_rule() {
             &9f32.to_le_bytes(),
             "'light', byte 64: element 1: direction is not a unit",
         ),
+        (narrow, "camera", 0, &f64::NAN.to_le_bytes(), "'camera', byte 0: element 0: eye"),
         (narrow, "environ", 12, &2u32.to_le_bytes(), "'environ', byte 0: a map without an existing texture"),
     ] {
         let message = refusal(pack, section, offset, new);

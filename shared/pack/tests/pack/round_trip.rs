@@ -104,6 +104,7 @@ fn everything_else_is_kept_as_it_was() {
     let input = everything(SIDE);
     let (pack, _) = pack(Plain::default());
     assert_eq!(pack.materials(), input.materials);
+    assert_eq!(pack.cameras(), input.cameras);
     assert_eq!(pack.ambient(), input.ambient);
     assert_eq!(pack.environment(), input.environment);
     for (texture, image) in pack.textures().iter().zip(&input.textures) {

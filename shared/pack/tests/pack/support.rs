@@ -1,7 +1,7 @@
 //! Scenes for the pack tests.
 
 use tessera_pack::{
-    Ambient, Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, PackInput, Wrap,
+    Ambient, Camera, Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, PackInput, Wrap,
 };
 
 /// A height field of `side` x `side` quads with normals, colours, texture coordinates that need shifts, splits and the side
@@ -40,6 +40,13 @@ pub fn everything(side: u32) -> PackInput {
     input.ambient = Ambient { radiance: [0.1, 0.2, 0.3] };
     input.environment =
         Environment { kind: EnvironmentKind::Gradient as u32, zenith: [1.0; 3], ..Environment::default() };
+    input.cameras = vec![Camera {
+        eye: [0.5, -2.0, 1.0],
+        target: [0.5, 0.5, 0.0],
+        up: [0.0, 0.0, 1.0],
+        fov_degrees: 45.0,
+        name: Camera::encode_name("from the front"),
+    }];
     input
 }
 
