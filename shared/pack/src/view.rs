@@ -31,6 +31,10 @@ pub struct Pack {
     inner: Arc<Inner>,
 }
 
+/// Every thread of a worker reads the same pack.
+const fn shared_between_threads<T: Send + Sync + Clone>() {}
+const _: () = shared_between_threads::<Pack>();
+
 #[derive(Debug)]
 struct Inner {
     buffer: PackBuffer,
