@@ -117,7 +117,7 @@ pub fn build(
         .grow(set, cell, 0)
         .pack_into(&mut output, &builder.costs)
         .map_err(|emit::TooManySlots| BuildError::TooLarge { triangles: triangle_count })?;
-    let Output { slots, list } = output;
+    let Output { slots, list, .. } = output;
     let bounds = Aabb { min: Vec3::from_array(cell.min), max: Vec3::from_array(cell.max) };
     let mut tree = Tree { bounds, depth: 0, slots, list };
     tree.depth = tree.stats().depth;

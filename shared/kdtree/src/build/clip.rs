@@ -71,14 +71,21 @@ pub(super) fn clip_halves(
     plane: &Plane,
     margin: f64,
 ) -> [Option<Cell>; 2] {
-    let mut polygon = Polygon::new(triangle);
+    let (mut polygon, mut spare) = (Polygon::new(triangle), Polygon::EMPTY);
     for axis in 0..3 {
-        polygon.keep_above(axis, f64::from(cell.min[axis]) - margin);
-        polygon.keep_below(axis, f64::from(cell.max[axis]) + margin);
+        // Where the box keeps clear of a face there is nothing to cut, or what there is lies beyond another face.
+        if bounds.min[axis] <= cell.min[axis] {
+            let bound = f64::from(cell.min[axis]) - margin;
+            polygon.cut(&mut spare, |corner| corner[axis] - bound);
+        }
+        if bounds.max[axis] >= cell.max[axis] {
+            let bound = f64::from(cell.max[axis]) + margin;
+            polygon.cut(&mut spare, |corner| bound - corner[axis]);
+        }
     }
     let at = f64::from(plane.position);
-    let low = polygon.bounds_below(plane.axis, at + margin);
-    let high = polygon.bounds_above(plane.axis, at - margin);
+    let low = polygon.bounds_where(|corner| at + margin - corner[plane.axis]);
+    let high = polygon.bounds_where(|corner| corner[plane.axis] - (at - margin));
 
     let halves = bounds.split(plane);
     if low.is_none() && high.is_none() {
@@ -94,49 +101,36 @@ struct Polygon {
 }
 
 impl Polygon {
+    const EMPTY: Self = Self { corners: [[0.0; 3]; 9], len: 0 };
+
     fn new(triangle: [Vec3; 3]) -> Self {
-        let mut corners = [[0.0; 3]; 9];
-        for (corner, vertex) in corners.iter_mut().zip(triangle) {
-            *corner = vertex.as_dvec3().to_array();
+        let mut polygon = Self::EMPTY;
+        for vertex in triangle {
+            polygon.push(vertex.as_dvec3().to_array());
         }
-        Self { corners, len: 3 }
+        polygon
     }
 
     fn corners(&self) -> &[[f64; 3]] {
         &self.corners[..self.len]
     }
 
-    fn keep_above(&mut self, axis: usize, bound: f64) {
-        if self.corners().iter().any(|c| c[axis] < bound) {
-            self.cut(|c| c[axis] - bound);
-        }
-    }
-
-    fn keep_below(&mut self, axis: usize, bound: f64) {
-        if self.corners().iter().any(|c| c[axis] > bound) {
-            self.cut(|c| bound - c[axis]);
+    fn push(&mut self, corner: [f64; 3]) {
+        // Rounding cannot add more than a corner for each plane; if it did, dropping one would beat a panic.
+        if let Some(free) = self.corners.get_mut(self.len) {
+            *free = corner;
+            self.len += 1;
         }
     }
 
     /// Keeps what lies where `side` is not negative.
-    fn cut(&mut self, side: impl Fn(&[f64; 3]) -> f64) {
-        let old = (self.corners, self.len);
-        self.len = 0;
-        walk(&old.0[..old.1], side, |corner| {
-            // Rounding cannot add more than a corner for each plane, but a full array must not overflow whatever happens.
-            if self.len < self.corners.len() {
-                self.corners[self.len] = corner;
-                self.len += 1;
-            }
-        });
-    }
-
-    fn bounds_below(&self, axis: usize, bound: f64) -> Option<Bounds> {
-        self.bounds_where(|c| bound - c[axis])
-    }
-
-    fn bounds_above(&self, axis: usize, bound: f64) -> Option<Bounds> {
-        self.bounds_where(|c| c[axis] - bound)
+    fn cut(&mut self, spare: &mut Self, side: impl Fn(&[f64; 3]) -> f64) {
+        if self.corners().iter().all(|corner| side(corner) >= 0.0) {
+            return;
+        }
+        spare.len = 0;
+        walk(self.corners(), side, |corner| spare.push(corner));
+        std::mem::swap(self, spare);
     }
 
     /// The box of what lies where `side` is not negative.

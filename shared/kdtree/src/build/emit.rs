@@ -10,6 +10,8 @@ use crate::node::{MAX_SLOTS, Node, Slot, reference_slot};
 pub(super) struct Output {
     pub slots: Vec<Slot>,
     pub list: Vec<u32>,
+    /// A buffer.
+    union: Vec<u32>,
 }
 
 /// The tree does not fit 28-bit slot indices.
@@ -65,20 +67,29 @@ impl Output {
         let [low, high] = cell.split(&plane).map(|half| half.area() / cell.area());
         let tests = f64::from(node.refs()) + low * f64::from(left.count()) + high * f64::from(right.count());
 
-        let refs: Vec<u32> = match node.refs() {
-            0 => Vec::new(),
-            refs => self.slots[slot + 1][..refs as usize].to_vec(),
-        };
-        let mut union = [self.leaf_ids(&left), self.leaf_ids(&right), &refs].concat();
+        let worth = costs.traversal + costs.intersection * tests;
+        // References are in neither child, so the union is at least this large.
+        let least = node.refs() + left.count().max(right.count());
+        if costs.intersection * f64::from(least) > worth {
+            return;
+        }
+        let mut union = std::mem::take(&mut self.union);
+        union.clear();
+        union.extend_from_slice(self.leaf_ids(&left));
+        union.extend_from_slice(self.leaf_ids(&right));
+        if node.refs() > 0 {
+            union.extend_from_slice(&self.slots[slot + 1][..node.refs() as usize]);
+        }
         union.sort_unstable();
         union.dedup();
-        if costs.intersection * union.len() as f64 <= costs.traversal + costs.intersection * tests {
+        if costs.intersection * union.len() as f64 <= worth {
             let listed =
                 [left, right].iter().filter(|n| n.count() >= 2).map(|n| n.count() as usize).sum::<usize>();
             self.list.truncate(self.list.len() - listed);
             self.slots.truncate(slot);
             self.leaf(&union);
         }
+        self.union = union;
     }
 
     fn leaf_ids<'a>(&'a self, leaf: &'a Node) -> &'a [u32] {
@@ -90,6 +101,7 @@ impl Output {
     }
 
     pub fn shrink(&mut self) {
+        self.union = Vec::new();
         self.slots.shrink_to_fit();
         self.list.shrink_to_fit();
     }

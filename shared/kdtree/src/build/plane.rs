@@ -14,7 +14,8 @@ pub(super) struct Costs {
     pub traversal: f64,
     /// `K_I`.
     pub intersection: f64,
-    empty_factor: f64,
+    /// `lambda` for a plane between two full halves, and for one that cuts off an empty half.
+    factors: [f64; 2],
 }
 
 impl Costs {
@@ -22,7 +23,7 @@ impl Costs {
         Self {
             traversal: options.traversal_cost.into(),
             intersection: options.intersection_cost.into(),
-            empty_factor: options.empty_factor.into(),
+            factors: [1.0, options.empty_factor.into()],
         }
     }
 }
@@ -93,7 +94,8 @@ impl AxisCost {
         let low_share = self.ends + self.sides * (f64::from(position) - f64::from(self.min));
         let high_share = self.ends + self.sides * (f64::from(self.max) - f64::from(position));
         let cost = |low: usize, high: usize| {
-            let factor = if low == 0 || high == 0 { self.costs.empty_factor } else { 1.0 };
+            // A look-up and not a branch: neither outcome is the likely one.
+            let factor = self.costs.factors[usize::from((low == 0) | (high == 0))];
             let tests = low_share * low as f64 + high_share * high as f64;
             factor * (self.costs.traversal + self.costs.intersection * tests)
         };
@@ -136,6 +138,9 @@ pub(super) const COUNTED: usize = 32;
 /// The same plane as [`sweep`] finds, by counting both sides of every candidate: no order to keep, and no branches.
 pub(super) fn count(boxes: &[Cell], cell: &Cell, costs: &Costs) -> Option<Plane> {
     debug_assert!(boxes.len() <= COUNTED);
+    if boxes.is_empty() {
+        return None;
+    }
     let mut best = Best::new(boxes.len(), costs);
     for axis in 0..3 {
         let axis_cost = AxisCost::new(cell, axis, costs);

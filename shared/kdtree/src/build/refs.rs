@@ -20,10 +20,10 @@ use tessera_geometry::Vec3;
 
 /// A node of the plain tree that the choice of references is made on. It keeps its triangles: where nothing is referenced
 /// the plain tree *is* the result, and where something is, the rest is split anew.
-struct Trial {
+pub(super) struct Trial {
     set: Set,
-    /// `None` for a leaf.
-    split: Option<(Plane, Box<[Trial; 2]>)>,
+    /// The plane and the children's places among the trials; `None` for a leaf.
+    split: Option<(Plane, [usize; 2])>,
     /// In how many leaves below each triangle of `set` is listed.
     listed: Vec<u32>,
     /// Leaves below that list anything.
@@ -42,59 +42,72 @@ impl<V: Fn(u32) -> [Vec3; 3] + Sync> Builder<'_, V> {
         shop: &mut Workshop,
     ) {
         if budget == 0 {
-            self.build_plain(set, cell, depth, output, shop);
-        } else {
-            let trial = self.try_plain(set, cell, depth, shop);
-            self.refine(trial, cell, depth, budget, output, shop);
+            return self.build_plain(set, cell, depth, output, shop);
+        }
+        let before = shop.trials.len();
+        let trial = self.try_plain(set, cell, depth, shop);
+        self.refine(trial, cell, depth, budget, output, shop);
+        // Sets below a reference have not been used up.
+        while shop.trials.len() > before
+            && let Some(trial) = shop.trials.pop()
+        {
+            shop.give_back(trial.set);
+            shop.spare_counts.push(trial.listed);
         }
     }
 
-    /// The plain tree of `set`.
-    fn try_plain(&self, set: Set, cell: &Cell, depth: u32, shop: &mut Workshop) -> Trial {
-        let Some(plane) = self.best_plane(&set, cell, depth) else {
-            let listed = vec![1; set.len()];
-            let full_leaves = u32::from(!set.is_empty());
-            return Trial { set, split: None, listed, full_leaves };
-        };
-        let [low, high] = self.split(&set, cell, &plane, shop);
-        let [low_cell, high_cell] = cell.split(&plane);
-        let low = self.try_plain(low, &low_cell, depth + 1, shop);
-        let high = self.try_plain(high, &high_cell, depth + 1, shop);
-
-        // A child's ids are some of ours, in the same order.
-        let mut listed = vec![0; set.len()];
-        for child in [&low, &high] {
-            let mut places = set.ids().iter().zip(&mut listed);
-            for (id, below) in child.set.ids().iter().zip(&child.listed) {
-                if let Some((_, count)) = places.find(|(ours, _)| *ours == id) {
-                    *count += below;
-                }
+    /// Appends the plain tree of `set` to the trials and returns its root's place.
+    fn try_plain(&self, set: Set, cell: &Cell, depth: u32, shop: &mut Workshop) -> usize {
+        let mut listed = shop.spare_counts.pop().unwrap_or_default();
+        listed.clear();
+        let trial = match self.best_plane(&set, cell, depth) {
+            None => {
+                listed.resize(set.len(), 1);
+                let full_leaves = u32::from(!set.is_empty());
+                Trial { set, split: None, listed, full_leaves }
             }
-        }
-        let full_leaves = low.full_leaves + high.full_leaves;
-        Trial { set, split: Some((plane, Box::new([low, high]))), listed, full_leaves }
+            Some(plane) => {
+                let [low, high] = self.split(&set, cell, &plane, shop);
+                let [low_cell, high_cell] = cell.split(&plane);
+                let children = [
+                    self.try_plain(low, &low_cell, depth + 1, shop),
+                    self.try_plain(high, &high_cell, depth + 1, shop),
+                ];
+                listed.resize(set.len(), 0);
+                let mut full_leaves = 0;
+                for child in children.map(|child| &shop.trials[child]) {
+                    full_leaves += child.full_leaves;
+                    // A child's ids are some of ours, in the same order.
+                    let mut places = set.ids().iter().zip(&mut listed);
+                    for (id, below) in child.set.ids().iter().zip(&child.listed) {
+                        if let Some((_, count)) = places.find(|(ours, _)| *ours == id) {
+                            *count += below;
+                        }
+                    }
+                }
+                Trial { set, split: Some((plane, children)), listed, full_leaves }
+            }
+        };
+        shop.trials.push(trial);
+        shop.trials.len() - 1
     }
 
     /// Appends the result of a trial: its own nodes where nothing is referenced, others below a reference.
     fn refine(
         &self,
-        trial: Trial,
+        trial: usize,
         cell: &Cell,
         depth: u32,
         budget: u32,
         output: &mut Output,
         shop: &mut Workshop,
     ) {
-        let chosen = self.choose(&trial, cell, budget);
-        let Trial { set, split, .. } = trial;
-        let Some((plane, children)) = split else {
-            output.leaf(set.ids());
-            shop.give_back(set);
+        let Some((plane, [low, high])) = shop.trials[trial].split else {
+            output.leaf(shop.trials[trial].set.ids());
             return;
         };
+        let chosen = self.choose(&shop.trials[trial], cell, budget);
         if chosen.is_empty() {
-            shop.give_back(set);
-            let [low, high] = *children;
             let [low_cell, high_cell] = cell.split(&plane);
             let node = output.open_inner(&plane, &[]);
             self.refine(low, &low_cell, depth + 1, budget, output, shop);
@@ -103,11 +116,11 @@ impl<V: Fn(u32) -> [Vec3; 3] + Sync> Builder<'_, V> {
             output.close_inner(node, cell, &self.costs);
             return;
         }
-        children.into_iter().for_each(|child| child.give_back(shop));
 
         // Split what is left; where that does not pay, the node is a leaf of everything.
         let mut rest = shop.take();
-        rest.copy_without(&set, &chosen);
+        let set = &shop.trials[trial].set;
+        rest.copy_without(set, &chosen);
         match self.best_plane(&rest, cell, depth) {
             None => output.leaf(set.ids()),
             Some(plane) => {
@@ -123,7 +136,6 @@ impl<V: Fn(u32) -> [Vec3; 3] + Sync> Builder<'_, V> {
             }
         }
         shop.give_back(rest);
-        shop.give_back(set);
     }
 
     /// Places of the triangles to reference, ascending.
@@ -141,15 +153,5 @@ impl<V: Fn(u32) -> [Vec3; 3] + Sync> Builder<'_, V> {
         places.truncate(self.options.max_refs.min(budget) as usize);
         places.sort_unstable();
         places
-    }
-}
-
-impl Trial {
-    /// Returns the sets of the whole trial for reuse.
-    fn give_back(self, shop: &mut Workshop) {
-        shop.give_back(self.set);
-        if let Some((_, children)) = self.split {
-            children.into_iter().for_each(|child| child.give_back(shop));
-        }
     }
 }

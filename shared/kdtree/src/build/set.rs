@@ -4,6 +4,7 @@ use super::Builder;
 use super::clip::{Cell, clip_halves};
 use super::events::{Event, push_events};
 use super::plane::{self, Plane};
+use super::refs::Trial;
 use rayon::prelude::*;
 use tessera_geometry::Vec3;
 
@@ -90,6 +91,7 @@ impl Set {
         routes.clear();
         cut.iter_mut().for_each(Vec::clear);
         let [low, high] = halves;
+        let has_events = self.len() > plane::COUNTED;
 
         // Send each triangle to its side, or cut it in two. Both sides keep the order, so ids stay ascending.
         for (&id, bounds) in self.ids.iter().zip(&self.boxes) {
@@ -103,7 +105,7 @@ impl Set {
             } else {
                 None
             };
-            routes.push(match goes_low {
+            let route = match goes_low {
                 Some(true) => Route::low(low.push(id, bounds)),
                 Some(false) => Route::high(high.push(id, bounds)),
                 None => {
@@ -115,7 +117,13 @@ impl Set {
                     }
                     Route::CUT
                 }
-            });
+            };
+            if has_events {
+                routes.push(route);
+            }
+        }
+        if !has_events {
+            return;
         }
 
         // Hand the events of whole triangles on in order, with those of the cut ones merged in.
@@ -246,6 +254,9 @@ pub(super) struct Workshop {
     cut: [Vec<u32>; 2],
     /// Their events along one axis.
     fresh: [Vec<Event>; 2],
+    /// Trial trees that are being refined, the innermost last.
+    pub trials: Vec<Trial>,
+    pub spare_counts: Vec<Vec<u32>>,
 }
 
 impl Workshop {
