@@ -77,10 +77,12 @@ pub fn intersect(ray: &Ray, shear: &RayShear, vertices: [Vec3; 3], t_max: f32) -
     let [kx, ky, kz] = shear.k;
 
     // Move the ray to the origin and shear it onto +z.
-    let [a, b, c] = vertices.map(|v| {
+    // (Spelt out: `array::map` is not inlined in this innermost loop.)
+    let project = |v: Vec3| {
         let p = (v - ray.origin).to_array();
         [p[kx] - shear.x * p[kz], p[ky] - shear.y * p[kz]]
-    });
+    };
+    let [a, b, c] = [project(vertices[0]), project(vertices[1]), project(vertices[2])];
 
     // Find on which side of each edge the origin lies.
     let [swap_u, swap_v, swap_w] = [

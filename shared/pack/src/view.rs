@@ -351,6 +351,8 @@ impl<'a> MeshView<'a> {
 impl tessera_kdtree::Triangles for MeshView<'_> {
     #[inline]
     fn vertices(&self, id: u32) -> [Vec3; 3] {
-        self.indices(id).map(|v| self.position(v))
+        // Spelt out: `array::map` is not inlined here, and this is the kernel's innermost loop.
+        let [a, b, c] = self.indices(id);
+        [self.position(a), self.position(b), self.position(c)]
     }
 }
