@@ -65,7 +65,8 @@ impl std::ops::AddAssign for Rays {
 }
 
 impl BatchHeader {
-    /// Checks the list's length and each tile's; the receiver then reads tile by tile and never reserves for the whole batch.
+    /// Checks the list's length and each tile's; the receiver then reads tile by tile and never reserves for
+    /// the whole batch.
     pub fn check(&self) -> Result<(), String> {
         if self.tiles.is_empty() || self.tiles.len() > limits::TILES as usize {
             return Err(format!("a batch of {} tiles: must be in 1..={}", self.tiles.len(), limits::TILES));

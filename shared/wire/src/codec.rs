@@ -1,7 +1,7 @@
 //! The only place that knows bincode: frames of `u32` length (little endian) and an encoded message.
 //!
-//! A length is checked against the caller's limit before anything is reserved, bincode counts what it would reserve for lists and
-//! texts against the same limit, and bytes left over after a message are an error.
+//! A length is checked against the caller's limit before anything is reserved, bincode counts what it would
+//! reserve for lists and texts against the same limit, and bytes left over after a message are an error.
 
 use crate::{BatchHeader, LocalTicket, PackChunk, ToMaster, ToWorker, limits};
 use bincode::{Decode, Encode, config};
@@ -15,7 +15,8 @@ pub const ALPN: &[u8] = b"tessera";
 /// The name in the master's certificate; peers are known by the authority that signed, not by a host's name.
 pub const SERVER_NAME: &str = "tessera-master";
 
-/// First bytes on a bulk pipe over QUIC, where a stream exists for the peer only once something was written to it.
+/// First bytes on a bulk pipe over QUIC, where a stream exists for the peer only once something was written
+/// to it.
 pub const BULK_TAG: [u8; 8] = *b"tessblk\0";
 
 /// A type that travels in a frame.
@@ -74,7 +75,8 @@ pub fn encode<M: Message>(message: &M) -> Result<Vec<u8>, CodecError> {
     Ok(frame)
 }
 
-const _: () = assert!(limits::CONTROL_BYTES < u32::MAX as usize && limits::HEADER_BYTES < u32::MAX as usize);
+const _: () =
+    assert!(limits::CONTROL_BYTES <= limits::HEADER_BYTES && limits::HEADER_BYTES < u32::MAX as usize);
 
 /// The length that a prefix announces, checked against `limit` (a message's own limit, or a tighter one).
 pub fn body_length(prefix: [u8; PREFIX_BYTES], limit: usize) -> Result<usize, CodecError> {
@@ -84,7 +86,8 @@ pub fn body_length(prefix: [u8; PREFIX_BYTES], limit: usize) -> Result<usize, Co
 
 /// The message in `body`, a frame without its prefix.
 pub fn decode<M: Message>(body: &[u8]) -> Result<M, CodecError> {
-    // bincode's limit is a type: the two sizes that occur are spelled out, and the smallest that serves is taken.
+    // bincode's limit is a type: the two sizes that occur are spelled out, and the smallest that serves is
+    // taken.
     let decoded = if body.len() > M::LIMIT {
         return Err(CodecError::TooLong { length: body.len(), limit: M::LIMIT });
     } else if M::LIMIT <= limits::CONTROL_BYTES {

@@ -24,9 +24,6 @@ pub enum Refusal {
         /// What is wrong.
         detail: String,
     },
-    /// The cluster has as many workers as it takes.
-    #[error("the cluster is full")]
-    Full,
 }
 
 /// Why a worker cannot hold a pack.
@@ -60,7 +57,8 @@ pub enum PackRefusal {
     },
 }
 
-/// Why a connection is cut; the number is also QUIC's application close code. One line each, numbers are never reused.
+/// Why a connection is cut; the number is also QUIC's application close code. One line each, numbers are
+/// never reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Encode, Decode, thiserror::Error)]
 #[repr(u32)]
 pub enum AbortCode {

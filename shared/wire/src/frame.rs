@@ -33,7 +33,8 @@ pub struct Frame {
     pub returns: ReturnMode,
 }
 
-/// A pinhole camera in local units: the ray through (u, v) in [-1, 1]^2 is `origin + t normalize(forward + u right + v up)`.
+/// A pinhole camera in local units: the ray through (u, v) in [-1, 1]^2 is `origin + t normalize(forward + u
+/// right + v up)`.
 #[derive(Clone, Copy, Debug, PartialEq, Encode, Decode)]
 pub struct Camera {
     /// Eye.
@@ -118,8 +119,8 @@ impl FromStr for PixelFormat {
 pub enum ReturnMode {
     /// One batch when its list is empty, one `Rendered` just before it (Seo, Park, Ihm 2022, Figure 5).
     AtEnd,
-    /// A batch as soon as it holds `min_bytes` of pixels or the list is empty, and a `Rendered` after each tile. 0 sends every tile
-    /// by itself (ibid., Figure 4).
+    /// A batch as soon as it holds `min_bytes` of pixels or the list is empty, and a `Rendered` after each
+    /// tile. 0 sends every tile by itself (ibid., Figure 4).
     Batches {
         /// Pixel bytes that make a batch worth sending.
         min_bytes: u32,

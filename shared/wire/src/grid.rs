@@ -2,7 +2,8 @@
 
 use crate::{FrameError, TileId, limits};
 
-/// An image cut into square tiles, counted row by row from the upper left corner; tiles at the right and lower edge are cut.
+/// An image cut into square tiles, counted row by row from the upper left corner; tiles at the right and
+/// lower edge are cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TileGrid {
     width: u32,
@@ -24,7 +25,8 @@ pub struct Rect {
 }
 
 impl TileGrid {
-    /// A grid over `width` x `height` pixels; both sides, the area and the number of tiles are checked against their limits.
+    /// A grid over `width` x `height` pixels; both sides, the area and the number of tiles are checked
+    /// against their limits.
     pub fn new(width: u32, height: u32, tile: u32) -> Result<Self, FrameError> {
         let sides = 1..=limits::SIDE;
         let area = u64::from(width) * u64::from(height);

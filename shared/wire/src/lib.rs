@@ -1,10 +1,11 @@
 //! Messages between master and worker, their codec, limits and versions.
 //!
-//! `PROTOCOL.md` beside this crate says who sends what to whom and why. Nothing here knows a socket, a clock, or a type of another
-//! room: plain numbers and newtype ids only.
+//! `PROTOCOL.md` beside this crate says who sends what to whom and why. Nothing here knows a socket, a clock,
+//! or a type of another room: plain numbers and newtype ids only.
 //!
-//! A connection has a **control** pipe in both directions ([`ToMaster`], [`ToWorker`]) and a **bulk** pipe in both directions
-//! ([`PackChunk`] towards the worker, [`BatchHeader`] towards the master), whose frames are followed by raw bytes.
+//! A connection has a **control** pipe in both directions ([`ToMaster`], [`ToWorker`]) and a **bulk** pipe in
+//! both directions ([`PackChunk`] towards the worker, [`BatchHeader`] towards the master), whose frames are
+//! followed by raw bytes.
 
 pub mod codec;
 pub mod limits;

@@ -2,15 +2,16 @@
 
 use std::time::Duration;
 
-/// Encoded bytes of the first message of a worker. It carries a name and a handful of numbers; nobody is trusted with more before
-/// `Welcome`.
+/// Encoded bytes of the first message of a worker. It carries a name and a handful of numbers; nobody is
+/// trusted with more before `Welcome`.
 pub const HELLO_BYTES: usize = 4 << 10;
 
-/// Encoded bytes of any other control message, and decoded bytes of its lists. The largest is an `Assign` of [`TILES`] tiles:
-/// 65,536 x 4 bytes decoded.
+/// Encoded bytes of any other control message, and decoded bytes of its lists. The largest is an `Assign` of
+/// [`TILES`] tiles: 65,536 x 4 bytes decoded.
 pub const CONTROL_BYTES: usize = 512 << 10;
 
-/// Encoded and decoded bytes of a header on a bulk pipe. The largest announces [`TILES`] tiles of 48 bytes each in memory.
+/// Encoded and decoded bytes of a header on a bulk pipe. The largest announces [`TILES`] tiles of 48 bytes
+/// each in memory.
 pub const HEADER_BYTES: usize = 4 << 20;
 
 /// Encoded bytes of a [`crate::PackChunk`]: a hash and two numbers of at most 9 bytes each.
@@ -22,7 +23,8 @@ pub const TEXT_BYTES: usize = 512;
 /// Versions that a peer may offer.
 pub const VERSIONS: usize = 16;
 
-/// Columns or rows of an image: the range in which pixel coordinates + 0.5 are exact in `f32` with room to spare.
+/// Columns or rows of an image: the range in which pixel coordinates + 0.5 are exact in `f32` with room to
+/// spare.
 pub const SIDE: u32 = 1 << 16;
 
 /// Pixels of an image, 16,384 x 16,384: below 2^32 bytes in every format but the layers, 9 GiB in those.
@@ -31,7 +33,8 @@ pub const PIXELS: u64 = 1 << 28;
 /// Tiles of a frame. A tile costs a message's worth of overhead; a grid beyond this wants larger tiles.
 pub const TILES: u32 = 1 << 16;
 
-/// Bytes of one tile's pixels, 1,365 x 1,365 pixels of layers: what one side must hold in one piece. Larger tiles are refused.
+/// Bytes of one tile's pixels, 1,365 x 1,365 pixels of layers: what one side must hold in one piece. Larger
+/// tiles are refused.
 pub const TILE_BYTES: u64 = 64 << 20;
 
 /// Samples a pixel.
@@ -40,19 +43,20 @@ pub const SAMPLES: u32 = 1 << 16;
 /// Reflections and refractions a path may take: the tracer's path stack.
 pub const DEPTH: u32 = 32;
 
-/// Tiles that a worker may be given ahead of its requests.
-pub const CREDIT: u32 = 64;
-
-/// Bytes of a pack: far above the largest scene (San Miguel is 0.5 GiB), far below what makes arithmetic wrap.
+/// Bytes of a pack: far above the largest scene (San Miguel is 0.5 GiB), far below what makes arithmetic
+/// wrap.
 pub const PACK_BYTES: u64 = 1 << 40;
 
-/// Raw bytes behind one [`crate::PackChunk`]: small enough that an abort is prompt, large enough that headers cost nothing.
+/// Raw bytes behind one [`crate::PackChunk`]: small enough that an abort is prompt, large enough that headers
+/// cost nothing.
 pub const CHUNK_BYTES: u32 = 1 << 20;
 
-/// Batches that a worker may have rendered and not yet handed to the transport: one travels while the next is filled.
+/// Batches that a worker may have rendered and not yet handed to the transport: one travels while the next is
+/// filled.
 pub const BATCHES_IN_FLIGHT: usize = 2;
 
-/// How long a connection may be silent before the peer counts as lost. [`KEEP_ALIVE`] keeps a healthy one from being silent.
+/// How long a connection may be silent before the peer counts as lost. [`KEEP_ALIVE`] keeps a healthy one
+/// from being silent.
 pub const IDLE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// How often a quiet connection is pinged: four may be lost before [`IDLE_TIMEOUT`].
@@ -70,8 +74,8 @@ pub const SOCKET_BUFFER_BYTES: usize = 4 << 20;
 /// How long either side waits for `Hello`, `Welcome` or `Refuse` on a new connection.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// How long the master waits for `PackReady` of a pack of `bytes`: a minute for validation, and a second a MiB for the slowest link
-/// that is still worth using (8 Mbit/s).
+/// How long the master waits for `PackReady` of a pack of `bytes`: a minute for validation, and a second a
+/// MiB for the slowest link that is still worth using (8 Mbit/s).
 pub const fn pack_timeout(bytes: u64) -> Duration {
     Duration::from_secs(60 + (bytes >> 20))
 }

@@ -69,7 +69,8 @@ pub enum ToMaster {
         /// Why.
         reason: PackRefusal,
     },
-    /// `tiles` more tiles of `frame` are rendered and queued for return. In the pull balancings each asks for one more.
+    /// `tiles` more tiles of `frame` are rendered and queued for return. In the pull balancings each asks for
+    /// one more.
     Rendered {
         /// Which frame.
         frame: FrameId,

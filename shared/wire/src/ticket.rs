@@ -2,8 +2,8 @@
 
 use bincode::{Decode, Encode};
 
-/// Address and credentials for one local worker. Written by the master into the child's standard input, which then stays open: when
-/// it closes, the worker ends. Neither arguments, environment nor files show the key.
+/// Address and credentials for one local worker. Written by the master into the child's standard input, which
+/// then stays open: when it closes, the worker ends. Neither arguments, environment nor files show the key.
 #[derive(Clone, PartialEq, Eq, Encode, Decode)]
 pub struct LocalTicket {
     /// The master's address, as text: `127.0.0.1:4433`.

@@ -2,7 +2,8 @@
 
 /// A version of the protocol. Every change of a message, a limit or a meaning adds a variant with its line.
 ///
-/// The layouts of `Hello` and `Refuse` are frozen: peers of any two versions can read them, so that disjoint peers part with a reason.
+/// The layouts of `Hello` and `Refuse` are frozen: peers of any two versions can read them, so that disjoint
+/// peers part with a reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u16)]
 pub enum Version {

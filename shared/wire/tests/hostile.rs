@@ -1,0 +1,183 @@
+//! Bytes that no honest peer sends: refused, without a panic and without memory beyond the limits.
+
+mod samples;
+
+use proptest::prelude::*;
+use std::{
+    alloc::{GlobalAlloc, Layout, System},
+    cell::Cell,
+};
+use tessera_wire::codec::{self, CodecError, Message};
+use tessera_wire::*;
+
+/// The system's allocator, counting each thread's largest request.
+struct Counting;
+
+thread_local! {
+    static LARGEST: Cell<usize> = const { Cell::new(0) };
+}
+
+#[expect(unsafe_code, reason = "GlobalAlloc is an unsafe trait; the calls are handed on unchanged")]
+// SAFETY: every call goes to the system's allocator as it came; counting allocates nothing.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let _ = LARGEST.try_with(|largest| largest.set(largest.get().max(layout.size())));
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        unsafe { System.dealloc(at, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Decodes `body`, and checks that no single reservation went beyond the message's limit.
+fn decode_checked<M: Message>(body: &[u8]) -> Result<M, CodecError> {
+    LARGEST.set(0);
+    let result = codec::decode(body);
+    assert!(LARGEST.get() <= M::LIMIT.max(1 << 10), "{} bytes for {} of input", LARGEST.get(), body.len());
+    result
+}
+
+fn decode_as_everything(body: &[u8]) {
+    let _ = decode_checked::<ToMaster>(body);
+    let _ = decode_checked::<ToWorker>(body);
+    let _ = decode_checked::<PackChunk>(body);
+    let _ = decode_checked::<LocalTicket>(body);
+    if let Ok(batch) = decode_checked::<BatchHeader>(body) {
+        // What decodes may still be out of range; the check must say so without a panic.
+        let _ = batch.check();
+    }
+}
+
+fn all_bodies() -> Vec<Vec<u8>> {
+    let mut frames = Vec::new();
+    frames.extend(samples::to_master().iter().map(|(_, m)| codec::encode(m).unwrap()));
+    frames.extend(samples::to_worker().iter().map(|(_, m)| codec::encode(m).unwrap()));
+    frames.push(codec::encode(&samples::chunk()).unwrap());
+    frames.push(codec::encode(&samples::batch()).unwrap());
+    frames.push(codec::encode(&samples::ticket()).unwrap());
+    frames.into_iter().map(|frame| frame[codec::PREFIX_BYTES..].to_vec()).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn random_bytes_are_harmless(body in prop::collection::vec(any::<u8>(), 0..300)) {
+        decode_as_everything(&body);
+    }
+
+    #[test]
+    fn damaged_messages_are_harmless(
+        which in any::<prop::sample::Index>(),
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
+    ) {
+        let bodies = all_bodies();
+        let mut body = which.get(&bodies).clone();
+        for (at, byte) in changes {
+            let at = at.index(body.len());
+            body[at] = byte;
+        }
+        decode_as_everything(&body);
+    }
+
+    #[test]
+    fn assignments_and_batches_survive_the_journey(
+        frame: u64,
+        tiles in prop::collection::vec((any::<u32>(), any::<u32>(), any::<u32>(), any::<u64>()), 0..200),
+    ) {
+        let entry = |&(tile, attempt, length, primary): &(u32, u32, u32, u64)| TileEntry {
+            tile: TileId(tile),
+            attempt: Attempt(attempt),
+            length,
+            render_us: length,
+            rays: Rays { primary, ..Rays::default() },
+        };
+        let batch = BatchHeader { frame: FrameId(frame), tiles: tiles.iter().map(entry).collect() };
+        let sent = codec::encode(&batch).unwrap();
+        prop_assert_eq!(decode_checked::<BatchHeader>(&sent[codec::PREFIX_BYTES..]), Ok(batch));
+        let list = tiles.iter().map(|t| TileId(t.0)).collect();
+        let assign = ToWorker::Assign { frame: FrameId(frame), attempt: Attempt(0), tiles: list };
+        let sent = codec::encode(&assign).unwrap();
+        prop_assert_eq!(decode_checked::<ToWorker>(&sent[codec::PREFIX_BYTES..]), Ok(assign));
+    }
+}
+
+#[test]
+fn truncated_and_extended_messages_are_refused() {
+    for body in all_bodies() {
+        for end in 0..body.len() {
+            decode_as_everything(&body[..end]);
+        }
+    }
+    let mut body = codec::encode(&ToMaster::Leave).unwrap()[codec::PREFIX_BYTES..].to_vec();
+    assert!(decode_checked::<ToMaster>(&[]).is_err());
+    body.push(0);
+    assert_eq!(decode_checked::<ToMaster>(&body), Err(CodecError::Trailing(1)));
+}
+
+#[test]
+fn a_length_is_refused_before_anything_is_reserved() {
+    let limit = limits::CONTROL_BYTES;
+    let prefix = |length: usize| (length as u32).to_le_bytes();
+    assert_eq!(codec::body_length(prefix(limit), limit), Ok(limit));
+    assert_eq!(
+        codec::body_length(prefix(limit + 1), limit),
+        Err(CodecError::TooLong { length: limit + 1, limit })
+    );
+    let most = u32::MAX as usize;
+    assert_eq!(codec::body_length([255; 4], limit), Err(CodecError::TooLong { length: most, limit }));
+    let long = vec![0; limit + 1];
+    assert!(matches!(decode_checked::<ToWorker>(&long), Err(CodecError::TooLong { .. })));
+}
+
+/// A list that claims 2^60 elements in a message of a dozen bytes.
+#[test]
+fn a_claimed_list_length_is_counted_against_the_limit() {
+    // `Assign` is variant 4; frame 1, attempt 0; 253 announces a number of 8 bytes.
+    let mut assign = vec![4, 1, 0, 253];
+    assign.extend((1u64 << 60).to_le_bytes());
+    assert!(matches!(decode_checked::<ToWorker>(&assign), Err(CodecError::Malformed(_))));
+    let mut batch = vec![1, 253];
+    batch.extend((1u64 << 60).to_le_bytes());
+    assert!(matches!(decode_checked::<BatchHeader>(&batch), Err(CodecError::Malformed(_))));
+    // A claim just below the limit reserves that much and then runs out of bytes.
+    let mut assign = vec![4, 1, 0, 252];
+    assign.extend((limits::CONTROL_BYTES as u32 / 4 - 64).to_le_bytes());
+    assert!(matches!(decode_checked::<ToWorker>(&assign), Err(CodecError::Malformed(_))));
+}
+
+#[test]
+fn the_largest_honest_messages_fit() {
+    let tiles: Vec<_> = (0..limits::TILES).map(TileId).collect();
+    let assign = ToWorker::Assign { frame: FrameId(u64::MAX), attempt: Attempt(u32::MAX), tiles };
+    let frame = codec::encode(&assign).unwrap();
+    assert_eq!(decode_checked::<ToWorker>(&frame[codec::PREFIX_BYTES..]), Ok(assign));
+
+    let rays = Rays { primary: u64::MAX, shadow: u64::MAX, reflection: u64::MAX, refraction: u64::MAX };
+    let entry = |tile| TileEntry {
+        tile: TileId(tile),
+        attempt: Attempt(u32::MAX),
+        length: u32::MAX,
+        render_us: u32::MAX,
+        rays,
+    };
+    let tiles = (0..limits::TILES).map(entry).collect();
+    let batch = BatchHeader { frame: FrameId(u64::MAX), tiles };
+    let frame = codec::encode(&batch).unwrap();
+    assert_eq!(decode_checked::<BatchHeader>(&frame[codec::PREFIX_BYTES..]), Ok(batch));
+
+    let hello = ToMaster::Hello(Hello {
+        versions: vec![u16::MAX; limits::VERSIONS],
+        name: "n".repeat(limits::TEXT_BYTES),
+        memory: u64::MAX,
+        threads: u32::MAX,
+        backend: "b".repeat(limits::TEXT_BYTES),
+        numeric_class: "c".repeat(limits::TEXT_BYTES),
+    });
+    assert!(codec::encode(&hello).unwrap().len() - codec::PREFIX_BYTES <= limits::HELLO_BYTES);
+    let chunk = PackChunk { pack: samples::PACK, offset: u64::MAX, length: u32::MAX };
+    assert!(codec::encode(&chunk).is_ok());
+}
