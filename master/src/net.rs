@@ -21,8 +21,8 @@ use std::{
 use tessera_wire::{codec, limits};
 use tokio::time::timeout;
 
-/// A throw-away certificate authority: it lives as long as the cluster and signs one certificate for the master and one for each
-/// worker. Its key is never written anywhere.
+/// A throw-away certificate authority: it lives as long as the cluster and signs one certificate for the
+/// master and one for each worker. Its key is never written anywhere.
 pub(crate) struct Authority {
     issuer: Issuer<'static, KeyPair>,
     certificate: CertificateDer<'static>,
@@ -101,7 +101,8 @@ pub(crate) fn listen(authority: &Authority) -> Result<Endpoint, Box<dyn std::err
             wanted = limits::SOCKET_BUFFER_BYTES,
             send,
             receive,
-            "the system gives UDP sockets smaller buffers than wanted; on fast networks raise net.core.rmem_max and net.core.wmem_max"
+            "the system gives UDP sockets smaller buffers than wanted; \
+             on fast networks raise net.core.rmem_max and net.core.wmem_max"
         );
     }
     let config = authority.server_config()?;
@@ -140,7 +141,8 @@ pub(crate) async fn accept(incoming: Incoming) -> Result<(CertificateDer<'static
     }
 }
 
-/// QUIC's settings on this side; the numbers and their reasons are in [`limits`]. The worker has the mirror image.
+/// QUIC's settings on this side; the numbers and their reasons are in [`limits`]. The worker has the mirror
+/// image.
 fn transport() -> TransportConfig {
     let mut transport = TransportConfig::default();
     transport
@@ -174,5 +176,56 @@ mod tests {
         ] {
             assert!(text.contains(part), "`{part}` is not in {text}");
         }
+    }
+
+    /// Connects with what `identity` shows, and says whether the master took it.
+    async fn is_accepted(authority: &Authority, identity: Option<Identity>) -> bool {
+        let endpoint = listen(authority).unwrap();
+        let address = endpoint.local_addr().unwrap();
+        let mut roots = RootCertStore::empty();
+        roots.add(authority.certificate().clone()).unwrap();
+        let builder =
+            rustls::ClientConfig::builder_with_provider(Arc::new(rustls::crypto::ring::default_provider()))
+                .with_protocol_versions(&[&rustls::version::TLS13])
+                .unwrap()
+                .with_root_certificates(roots);
+        let mut tls = match identity {
+            Some(Identity { certificate, key }) => {
+                let key = PrivateKeyDer::Pkcs8(PrivatePkcs8KeyDer::from(key));
+                builder.with_client_auth_cert(vec![certificate], key).unwrap()
+            }
+            None => builder.with_no_client_auth(),
+        };
+        tls.alpn_protocols = vec![codec::ALPN.to_vec()];
+        let quic = quinn::crypto::rustls::QuicClientConfig::try_from(tls).unwrap();
+        let client = Endpoint::client(SocketAddr::from((Ipv4Addr::LOCALHOST, 0))).unwrap();
+        let connecting = client
+            .connect_with(quinn::ClientConfig::new(Arc::new(quic)), address, codec::SERVER_NAME)
+            .unwrap();
+        // What a worker does: the streams, and the first byte of each.
+        let connect = async {
+            let connection = connecting.await.map_err(|e| e.to_string())?;
+            let (mut control, _) = connection.open_bi().await.map_err(|e| e.to_string())?;
+            let mut bulk = connection.open_uni().await.map_err(|e| e.to_string())?;
+            bulk.write_all(&codec::BULK_TAG).await.map_err(|e| e.to_string())?;
+            control.write_all(&[0]).await.map_err(|e| e.to_string())?;
+            connection.accept_uni().await.map_err(|e| e.to_string())?;
+            Ok::<_, String>((connection, control, bulk))
+        };
+        let incoming = endpoint.accept().await.unwrap();
+        let (connected, accepted) = tokio::join!(connect, accept(incoming));
+        assert_eq!(connected.is_ok(), accepted.is_ok(), "both ends agree");
+        accepted.is_ok()
+    }
+
+    #[tokio::test]
+    async fn only_workers_with_a_certificate_of_this_authority_are_taken() {
+        let authority = Authority::new().unwrap();
+        assert!(is_accepted(&authority, Some(authority.worker("w").unwrap())).await);
+        assert!(!is_accepted(&authority, None).await, "without a certificate");
+        let other = Authority::new().unwrap();
+        assert!(!is_accepted(&authority, Some(other.worker("w").unwrap())).await, "another authority");
+        let server = authority.issue("w", ExtendedKeyUsagePurpose::ServerAuth).unwrap();
+        assert!(!is_accepted(&authority, Some(server)).await, "a certificate for another purpose");
     }
 }
