@@ -1,0 +1,250 @@
+//! Master and workers in this process, over memory and over QUIC: one image for every balancing and any
+//! number of workers.
+
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+use tessera_geometry::{LocalCamera, Vec3};
+use tessera_master::{
+    Balance, Cluster, ClusterConfig, FrameJob, FrameResult, Link, LoadError, PixelFormat, RenderError,
+    StartError, Workers,
+};
+use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
+use tessera_wire::{Features, FrameError, LocalTicket, PackRefusal};
+use tessera_worker::{NUMERIC_CLASS, WorkerConfig, WorkerError, WorkerPipes};
+use tokio::task::JoinHandle;
+
+type Served = JoinHandle<Result<(), WorkerError>>;
+
+/// A tilted square in front of the camera.
+fn pack() -> Pack {
+    let input = PackInput {
+        positions: vec![[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, -1.0], [-1.0, 1.0, -1.0]],
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+        material_runs: vec![(0, 0)],
+        materials: vec![Material::default()],
+        ..PackInput::default()
+    };
+    build_pack(input, &PackOptions::default()).expect("two triangles").0
+}
+
+fn job(pack: &Pack, balance: Balance) -> FrameJob {
+    let frame = pack.frame();
+    let origin = frame.to_local(tessera_geometry::DVec3::new(0.2, 0.1, 3.0));
+    FrameJob {
+        camera: LocalCamera { origin, forward: -Vec3::Z, right: Vec3::X * 0.6, up: Vec3::Y * 0.4 },
+        width: 150,
+        height: 100,
+        tile: 32,
+        samples: 1,
+        depth: 2,
+        seed: 0,
+        features: Features::default(),
+        format: PixelFormat::Layers,
+        balance,
+    }
+}
+
+fn config(name: &str, memory: Option<u64>) -> WorkerConfig {
+    WorkerConfig { name: name.into(), threads: 1, memory }
+}
+
+/// `count` workers over memory.
+fn in_memory(count: usize) -> (Workers, Vec<Served>) {
+    let connect = |index| {
+        let (link, pipes) = Link::in_memory();
+        let pipes = WorkerPipes {
+            control_in: pipes.control_in,
+            control_out: pipes.control_out,
+            bulk_in: pipes.bulk_in,
+            bulk_out: pipes.bulk_out,
+        };
+        (link, tokio::spawn(tessera_worker::serve(pipes, config(&format!("w{index}"), None))))
+    };
+    let (links, served) = (0..count).map(connect).unzip();
+    (Workers::Links(links), served)
+}
+
+/// `count` workers over QUIC on loopback.
+fn over_quic(count: u32) -> (Workers, Arc<Mutex<Vec<Served>>>) {
+    let served = Arc::new(Mutex::new(Vec::new()));
+    let handles = served.clone();
+    let runtime = tokio::runtime::Handle::current();
+    let hand_out = move |tickets: Vec<LocalTicket>| {
+        let serve = |ticket| runtime.spawn(tessera_worker::serve_ticket(ticket, std::future::pending()));
+        handles.lock().expect("one thread").extend(tickets.into_iter().map(serve));
+    };
+    (Workers::Tickets(count, Box::new(hand_out)), served)
+}
+
+async fn render(cluster: &mut Cluster, job: &FrameJob) -> FrameResult {
+    let mut last = (0, 0);
+    let result = cluster.render(job, |p| {
+        if let tessera_master::Progress::Tiles { done, total } = p {
+            last = (done, total);
+        }
+    });
+    let result = result.await.expect("workers are well");
+    let tiles = job.width.div_ceil(job.tile) * job.height.div_ceil(job.tile);
+    assert_eq!(last, (tiles, tiles));
+    assert_eq!(result.workers.iter().map(|w| w.tiles).sum::<u32>(), tiles);
+    assert_eq!(result.numeric_class, NUMERIC_CLASS);
+    let returned: u64 = result.workers.iter().map(|w| w.bytes_returned).sum();
+    assert!(returned > result.image.data().len() as u64 && result.traffic.received > returned);
+    assert_eq!(result.rays.primary, u64::from(job.width) * u64::from(job.height));
+    result
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn one_image_for_every_balancing_over_memory_and_over_quic() {
+    let pack = pack();
+    let (workers, served) = in_memory(1);
+    let mut alone = Cluster::start(workers, ClusterConfig::default()).await.expect("one joins");
+    alone.load(&pack, |_| ()).await.expect("it takes the pack");
+    let reference = render(&mut alone, &job(&pack, Balance::Dynamic)).await;
+    assert!(reference.image.data().iter().any(|&b| b != 0), "an empty picture proves nothing");
+    assert_eq!(reference.traffic.udp_sent, 0);
+    alone.stop().await;
+    for handle in served {
+        handle.await.expect("no panic").expect("dismissed");
+    }
+
+    let (workers, served) = over_quic(3);
+    let class = ClusterConfig { numeric_class: Some(NUMERIC_CLASS.into()) };
+    let mut cluster = Cluster::start(workers, class).await.expect("three join");
+    cluster.load(&pack, |_| ()).await.expect("they take the pack");
+    for balance in Balance::ALL {
+        for tile in [16, 32, 150] {
+            let job = FrameJob { tile, ..job(&pack, balance) };
+            let result = render(&mut cluster, &job).await;
+            assert_eq!(result.image, reference.image, "{balance}, tiles of {tile}");
+            assert_eq!(result.workers.len(), 3);
+            assert!(result.traffic.udp_sent > result.traffic.sent, "QUIC adds to what it carries");
+        }
+    }
+    cluster.stop().await;
+    let handles = std::mem::take(&mut *served.lock().expect("one thread"));
+    for handle in handles {
+        handle.await.expect("no panic").expect("dismissed");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn odd_sizes_and_all_formats() {
+    let pack = pack();
+    let (workers, _served) = in_memory(2);
+    let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("they join");
+    cluster.load(&pack, |_| ()).await.expect("they take the pack");
+    for (width, height, tile) in [(1, 1, 128), (1, 50, 16), (33, 31, 32), (20_000, 1, 64)] {
+        for format in PixelFormat::ALL {
+            let job = FrameJob { width, height, tile, format, ..job(&pack, Balance::Static) };
+            let result = render(&mut cluster, &job).await;
+            let bytes = width as usize * height as usize * format.bytes_per_pixel();
+            assert_eq!(result.image.data().len(), bytes);
+        }
+    }
+    cluster.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_lost_worker_is_replaced_and_the_last_one_is_not() {
+    let pack = pack();
+    let (workers, served) = over_quic(2);
+    let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("they join");
+    cluster.load(&pack, |_| ()).await.expect("they take the pack");
+    let handles = std::mem::take(&mut *served.lock().expect("one thread"));
+    let mut reasons = 0;
+    let mut handles = handles.into_iter();
+    // Its connection dies with it when the first tile is in.
+    let mut first = handles.next();
+    let job = FrameJob { width: 600, height: 600, tile: 8, ..job(&pack, Balance::PaperDynamic) };
+    let result = cluster.render(&job, |progress| match progress {
+        tessera_master::Progress::Tiles { .. } => drop(first.take().map(|handle| handle.abort())),
+        tessera_master::Progress::WorkerLost { .. } => reasons += 1,
+        tessera_master::Progress::Sent { .. } => {}
+    });
+    let result = result.await.expect("one worker is enough");
+    assert_eq!(result.workers.iter().map(|w| w.tiles).sum::<u32>(), 75 * 75);
+    assert_eq!(result.workers.iter().filter(|w| w.lost.is_some()).count(), reasons);
+
+    handles.for_each(|handle| handle.abort());
+    let failed = cluster.render(&job, |_| ()).await;
+    assert!(matches!(failed, Err(RenderError::AllLost { .. })), "{failed:?}");
+    cluster.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_cannot_be_done_is_said() {
+    let pack = pack();
+    let none = Cluster::start(Workers::Links(Vec::new()), ClusterConfig::default()).await;
+    assert!(matches!(none.err(), Some(StartError::NoWorkers)));
+
+    let (workers, served) = in_memory(1);
+    let other = ClusterConfig { numeric_class: Some("another".into()) };
+    let refused = Cluster::start(workers, other).await.err().expect("refused");
+    assert!(refused.to_string().contains("numeric class"), "{refused}");
+    for handle in served {
+        assert!(matches!(handle.await.expect("no panic"), Err(WorkerError::Refused(_))));
+    }
+
+    let (link, pipes) = Link::in_memory();
+    let pipes = WorkerPipes {
+        control_in: pipes.control_in,
+        control_out: pipes.control_out,
+        bulk_in: pipes.bulk_in,
+        bulk_out: pipes.bulk_out,
+    };
+    tokio::spawn(tessera_worker::serve(pipes, config("small", Some(10))));
+    let mut small =
+        Cluster::start(Workers::Links(vec![link]), ClusterConfig::default()).await.expect("it joins");
+    let job = job(&pack, Balance::Dynamic);
+    assert!(matches!(small.render(&job, |_| ()).await, Err(RenderError::NoPack)));
+    let failed = small.load(&pack, |_| ()).await;
+    let needs = pack.bytes().len() as u64;
+    let expected = PackRefusal::OutOfMemory { needs, has: 10 };
+    match failed {
+        Err(LoadError::Rejected { worker, reason }) => {
+            assert_eq!((worker.as_str(), reason), ("small", expected))
+        }
+        other => panic!("{other:?}"),
+    }
+
+    let (workers, _served) = in_memory(1);
+    let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("it joins");
+    cluster.load(&pack, |_| ()).await.expect("it takes the pack");
+    let wild = FrameJob { tile: 0, ..job };
+    assert!(matches!(cluster.render(&wild, |_| ()).await, Err(RenderError::Job(FrameError::Tile))));
+    let frame = cluster.render(&FrameJob { tile: 64, ..wild }, |_| ()).await;
+    assert!(frame.is_ok(), "a refused job does no harm: {frame:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_worker_with_a_forged_ticket_is_refused_and_does_not_disturb() {
+    let stranger = Arc::new(Mutex::new(None));
+    let slot = stranger.clone();
+    // The credentials of one cluster, for use at another.
+    let keep =
+        move |tickets: Vec<LocalTicket>| *slot.lock().expect("one thread") = tickets.into_iter().next();
+    let foreign = Cluster::start(Workers::Tickets(1, Box::new(keep)), ClusterConfig::default());
+    let _ = tokio::time::timeout(Duration::from_millis(50), foreign).await;
+    let foreign = stranger.lock().expect("one thread").take().expect("handed out before anyone joins");
+
+    let outcome = Arc::new(Mutex::new(None));
+    let slot = outcome.clone();
+    let runtime = tokio::runtime::Handle::current();
+    let hand_out = move |tickets: Vec<LocalTicket>| {
+        let ticket = tickets.into_iter().next().expect("one");
+        // The right authority, so that the worker trusts the master, but a stranger's certificate.
+        let forged = LocalTicket { certificate: foreign.certificate, key: foreign.key, ..ticket.clone() };
+        *slot.lock().expect("one thread") = Some(runtime.spawn(async move {
+            let refused = tessera_worker::serve_ticket(forged, std::future::pending()).await;
+            let served = tessera_worker::serve_ticket(ticket, std::future::pending());
+            (refused, served.await)
+        }));
+    };
+    let cluster = Cluster::start(Workers::Tickets(1, Box::new(hand_out)), ClusterConfig::default());
+    cluster.await.expect("the right one joins").stop().await;
+    let both = outcome.lock().expect("one thread").take().expect("spawned");
+    let (refused, served) = both.await.expect("no panic");
+    assert!(matches!(refused, Err(WorkerError::Connect { .. })), "{refused:?}");
+    served.expect("dismissed");
+}

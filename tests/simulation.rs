@@ -1,0 +1,426 @@
+//! A whole cluster in one thread under a virtual clock: both sides' state machines, late, lost and repeated
+//! messages, and workers that die. Whatever happens, a frame is complete with every tile once, as long as one
+//! worker lives.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+use tessera_geometry::{LocalCamera, Vec3};
+use tessera_master::coordinator::{Coordinator, Event, FrameStatus, Outcome, Output};
+use tessera_master::{Balance, FrameJob, PixelFormat};
+use tessera_wire::{
+    AbortCode, Attempt, Features, FrameId, Hello, PackId, Rays, Rect, TileEntry, TileId, ToMaster, ToWorker,
+    Version, WorkerId,
+};
+use tessera_worker::session::{Action, Batch, RenderTask, RenderedTile, Session};
+
+const PACK: PackId = PackId([9; 32]);
+const PACK_BYTES: u64 = 1000;
+
+#[test]
+fn every_frame_is_complete_for_every_seed() {
+    let mut lost = 0;
+    let mut dropped = 0;
+    for seed in 0..4000 {
+        let mut world = World::new(seed, true);
+        for _ in 0..2 {
+            let job = world.random_job();
+            let outcome =
+                world.render(&job).unwrap_or_else(|status| panic!("seed {seed}: {status:?}, {job:?}"));
+            check_frame(seed, &job, &outcome);
+            dropped += outcome.dropped_tiles;
+        }
+        lost += world.lost.len();
+    }
+    // The seeds do what they are for.
+    assert!(lost > 4000, "{lost} workers were lost");
+    assert!(dropped > 4000, "{dropped} results came twice or too late");
+}
+
+#[test]
+fn a_frame_without_workers_fails_and_says_how_far_it_got() {
+    for seed in 0..300 {
+        let mut world = World::new(seed, false);
+        let job = world.random_job();
+        for worker in 0..world.workers.len() as u32 {
+            let at = world.now + world.micros(1, 3000);
+            world.schedule(at, Happening::Die(WorkerId(worker)));
+        }
+        match world.render(&job) {
+            // All tiles may have been in before the last one died.
+            Ok(outcome) => check_frame(seed, &job, &outcome),
+            Err(FrameStatus::Failed { done, total }) => assert!(done < total, "seed {seed}"),
+            Err(status) => panic!("seed {seed}: {status:?}"),
+        }
+    }
+}
+
+#[test]
+fn a_worker_that_never_says_hello_is_cut_off() {
+    let mut coordinator = Coordinator::new(None);
+    let worker = coordinator.connected(Duration::ZERO);
+    let deadline = coordinator.deadline().expect("one waits for `Hello`");
+    coordinator.tick(deadline);
+    let outputs: Vec<_> = std::iter::from_fn(|| coordinator.poll()).collect();
+    assert!(outputs.contains(&Output::Close(worker, AbortCode::Timeout)), "{outputs:?}");
+    assert_eq!(coordinator.deadline(), None);
+}
+
+#[test]
+fn a_worker_that_returns_nonsense_is_cut_off_and_the_others_finish() {
+    /// What worker 0 sends instead of `entry`, its first tile.
+    type Trick = fn(&mut World, TileEntry);
+    let tricks: [Trick; 4] = [
+        // A frame that never was.
+        |world, entry| world.tile(FrameId(99), entry, 256),
+        // Too few pixels.
+        |world, entry| world.tile(FrameId(1), entry, 3),
+        // No tile of the frame.
+        |world, entry| world.tile(FrameId(1), TileEntry { tile: TileId(1 << 20), ..entry }, 256),
+        // A tile that was never given to it.
+        |world, entry| world.tile(FrameId(1), TileEntry { attempt: Attempt(5), ..entry }, 256),
+    ];
+    for trick in tricks {
+        let mut world = World::with_workers(1, 3);
+        let job = FrameJob { width: 64, height: 64, tile: 8, ..world.random_job() };
+        world.coordinator.begin(&job, world.now).expect("a job in range");
+        let first = TileEntry {
+            tile: TileId(0),
+            attempt: Attempt(0),
+            length: 256,
+            render_us: 0,
+            rays: Rays::default(),
+        };
+        trick(&mut world, first);
+        world.expected_lost.insert(WorkerId(0));
+        let outcome = world.finish(&job).expect("two workers are enough");
+        assert!(outcome.workers[0].lost.as_ref().is_some_and(|r| r.starts_with("bad tiles")), "{outcome:?}");
+        check_frame(1, &job, &outcome);
+    }
+}
+
+/// The right pixels everywhere, and every tile, ray and worker accounted for once.
+fn check_frame(seed: u64, job: &FrameJob, outcome: &Outcome) {
+    let image = Rect { x: 0, y: 0, width: job.width, height: job.height };
+    assert!(outcome.image.data() == pixels(image, job.format), "seed {seed}: a wrong pixel, {job:?}");
+    assert_eq!(outcome.rays.primary, u64::from(job.width) * u64::from(job.height), "seed {seed}");
+    let tiles = job.width.div_ceil(job.tile) * job.height.div_ceil(job.tile);
+    assert_eq!(outcome.workers.iter().map(|w| w.tiles).sum::<u32>(), tiles, "seed {seed}");
+    let times = outcome.timings;
+    assert_eq!(times.render + times.return_, times.frame, "seed {seed}");
+}
+
+/// What a renderer would make of `rect`: a colour that depends on the place alone.
+fn pixels(rect: Rect, format: PixelFormat) -> Vec<u8> {
+    let places =
+        (rect.y..rect.y + rect.height).flat_map(|y| (rect.x..rect.x + rect.width).map(move |x| (x, y)));
+    let bytes = |(x, y): (u32, u32)| {
+        let word = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77);
+        word.to_le_bytes().into_iter().cycle().take(format.bytes_per_pixel())
+    };
+    places.flat_map(bytes).collect()
+}
+
+/// The master, the workers, and everything that is under way between them.
+struct World {
+    coordinator: Coordinator,
+    workers: Vec<Worker>,
+    /// By time, then by order of scheduling.
+    under_way: BTreeMap<(Duration, u64), Happening>,
+    scheduled: u64,
+    now: Duration,
+    random: u64,
+    /// Whether workers die and messages are repeated.
+    is_rough: bool,
+    expected_lost: BTreeSet<WorkerId>,
+    lost: Vec<WorkerId>,
+}
+
+struct Worker {
+    session: Session,
+    is_alive: bool,
+    /// How fast it renders, in percent.
+    speed: u64,
+    /// When the last thing put on each of its pipes arrives: to the worker, control and bulk to the master.
+    arrivals: [Duration; 3],
+}
+
+enum Happening {
+    ToWorker(WorkerId, ToWorker),
+    ToMaster(WorkerId, ToMaster),
+    PackArrives(WorkerId),
+    Rendered(WorkerId, Box<RenderedTile>),
+    BatchSent(WorkerId),
+    Tile(WorkerId, FrameId, TileEntry, Vec<u8>),
+    Die(WorkerId),
+    Leave(WorkerId),
+    Missed(WorkerId),
+}
+
+impl World {
+    fn new(seed: u64, is_rough: bool) -> Self {
+        let mut world = Self::empty(seed);
+        let count = world.below(16) + 1;
+        world.is_rough = is_rough;
+        world.gather(count as u32);
+        world
+    }
+
+    fn with_workers(seed: u64, count: u32) -> Self {
+        let mut world = Self::empty(seed);
+        world.gather(count);
+        world
+    }
+
+    fn empty(seed: u64) -> Self {
+        Self {
+            coordinator: Coordinator::new(None),
+            workers: Vec::new(),
+            under_way: BTreeMap::new(),
+            scheduled: 0,
+            now: Duration::ZERO,
+            random: seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) + 1,
+            is_rough: false,
+            expected_lost: BTreeSet::new(),
+            lost: Vec::new(),
+        }
+    }
+
+    /// `count` workers join and take the pack.
+    fn gather(&mut self, count: u32) {
+        for index in 0..count {
+            let hello = Hello {
+                versions: Version::supported_numbers(),
+                name: format!("w{index}"),
+                memory: 0,
+                threads: 1,
+                backend: "cpu".into(),
+                numeric_class: "sim".into(),
+            };
+            self.coordinator.connected(self.now);
+            let session = Session::start(hello, None, self.now);
+            let speed = 20 + self.below(200);
+            self.workers.push(Worker { session, is_alive: true, speed, arrivals: [Duration::ZERO; 3] });
+        }
+        self.run_until(|c| c.joined().count() == count as usize);
+        self.coordinator.load(PACK, PACK_BYTES, self.now);
+        self.run_until(|c| c.holders().count() == count as usize);
+    }
+
+    /// One frame, with a few disasters on the way if the world is rough.
+    fn render(&mut self, job: &FrameJob) -> Result<Outcome, FrameStatus> {
+        if self.is_rough {
+            let alive: Vec<_> = self.coordinator.joined().collect();
+            // One is spared.
+            for &worker in &alive[1..] {
+                let at = self.now + self.micros(1, 8000);
+                match self.below(6) {
+                    0 => self.schedule(at, Happening::Die(worker)),
+                    1 => self.schedule(at, Happening::Leave(worker)),
+                    _ => {}
+                }
+            }
+        }
+        self.coordinator.begin(job, self.now).expect("a job in range");
+        self.finish(job)
+    }
+
+    fn finish(&mut self, job: &FrameJob) -> Result<Outcome, FrameStatus> {
+        self.run_until(|c| c.status() != FrameStatus::Pending);
+        match self.coordinator.status() {
+            FrameStatus::Done => {
+                let outcome = self.coordinator.finish().expect("done");
+                self.carry_out();
+                assert_eq!(outcome.image.format(), job.format);
+                Ok(outcome)
+            }
+            other => Err(other),
+        }
+    }
+
+    /// Lets time pass until `is_done`.
+    fn run_until(&mut self, is_done: impl Fn(&Coordinator) -> bool) {
+        self.carry_out();
+        while !is_done(&self.coordinator) {
+            let next = self.under_way.first_key_value().map(|(&(at, _), _)| at);
+            match (next, self.coordinator.deadline()) {
+                (None, None) => panic!("nothing is under way, and nobody waits: the cluster hangs"),
+                (Some(at), deadline) if deadline.is_none_or(|d| at <= d) => {
+                    let (_, happening) = self.under_way.pop_first().expect("there is one");
+                    self.now = at;
+                    self.happen(happening);
+                }
+                (_, deadline) => {
+                    self.now = deadline.expect("the earlier one");
+                    self.coordinator.tick(self.now);
+                }
+            }
+            self.carry_out();
+        }
+    }
+
+    fn happen(&mut self, happening: Happening) {
+        let now = self.now;
+        match happening {
+            Happening::ToMaster(worker, message) => self.coordinator.message(worker, message, now),
+            Happening::Tile(worker, frame, entry, pixels) => {
+                let bytes = pixels.len() as u64;
+                self.coordinator.tile(worker, frame, &entry, &pixels, bytes, now);
+            }
+            Happening::Missed(worker) => {
+                self.coordinator.lost(worker, AbortCode::Done, "it died".into(), now);
+            }
+            Happening::Die(worker) => {
+                self.expected_lost.insert(worker);
+                self.workers[worker.0 as usize].is_alive = false;
+                let at = now + self.micros(100, 5_000_000);
+                self.schedule(at, Happening::Missed(worker));
+            }
+            Happening::Leave(worker) => {
+                self.expected_lost.insert(worker);
+                self.session(worker, Session::leave);
+            }
+            Happening::ToWorker(worker, message) => self.session(worker, |s| s.message(message)),
+            Happening::PackArrives(worker) => self.session(worker, |s| s.pack_received(PACK, Ok(()))),
+            Happening::Rendered(worker, tile) => self.session(worker, |s| s.rendered(*tile)),
+            Happening::BatchSent(worker) => self.session(worker, Session::batch_sent),
+        }
+    }
+
+    fn session(&mut self, worker: WorkerId, act: impl FnOnce(&mut Session)) {
+        if self.workers[worker.0 as usize].is_alive {
+            act(&mut self.workers[worker.0 as usize].session);
+        }
+    }
+
+    /// Does what master and workers want.
+    fn carry_out(&mut self) {
+        loop {
+            let mut is_idle = true;
+            while let Some(output) = self.coordinator.poll() {
+                is_idle = false;
+                self.master_wants(output);
+            }
+            for index in 0..self.workers.len() {
+                while let Some(action) = self.workers[index].session.poll() {
+                    is_idle = false;
+                    if self.workers[index].is_alive {
+                        self.worker_wants(WorkerId(index as u32), action);
+                    }
+                }
+            }
+            if is_idle {
+                return;
+            }
+        }
+    }
+
+    fn master_wants(&mut self, output: Output) {
+        match output {
+            Output::Send(worker, message) => {
+                let at = self.arrival(worker, 0);
+                self.schedule(at, Happening::ToWorker(worker, message));
+            }
+            Output::SendPack(worker, pack) => {
+                assert_eq!(pack, PACK);
+                let at = self.arrival(worker, 0);
+                self.schedule(at, Happening::PackArrives(worker));
+            }
+            Output::Event(Event::Lost(worker, reason)) => {
+                let name = self.expected_lost.contains(&worker);
+                assert!(name, "{worker} is lost without a disaster: {reason}");
+                self.lost.push(worker);
+            }
+            Output::Close(..) | Output::Event(_) => {}
+        }
+    }
+
+    fn worker_wants(&mut self, worker: WorkerId, action: Action) {
+        match action {
+            Action::Send(message) => {
+                let at = self.arrival(worker, 1);
+                self.schedule(at, Happening::ToMaster(worker, message));
+            }
+            Action::Receive { pack, length } => {
+                assert_eq!((pack, length), (PACK, PACK_BYTES));
+                self.session(worker, |s| s.pack_reserved(PACK, Ok(())));
+            }
+            Action::Render(task) => {
+                let time = self.micros(10, 1000) * 100 / self.workers[worker.0 as usize].speed as u32;
+                self.schedule(self.now + time, Happening::Rendered(worker, Box::new(render(task, time))));
+            }
+            Action::Return(Batch { header, pixels }) => {
+                header.check().expect("a worker's own batch");
+                for (entry, pixels) in header.tiles.into_iter().zip(pixels) {
+                    let at = self.arrival(worker, 2);
+                    if self.is_rough && self.below(8) == 0 {
+                        // Long after: perhaps in the next frame.
+                        let later = at + self.micros(1, 20_000);
+                        self.schedule(later, Happening::Tile(worker, header.frame, entry, pixels.clone()));
+                    }
+                    self.schedule(at, Happening::Tile(worker, header.frame, entry, pixels));
+                }
+                let at = self.workers[worker.0 as usize].arrivals[2];
+                self.schedule(at, Happening::BatchSent(worker));
+            }
+            // The master hears of it by the message that went ahead, or by the pipe's end.
+            Action::Over(_) => {
+                self.workers[worker.0 as usize].is_alive = false;
+                let at = self.arrival(worker, 1);
+                self.schedule(at, Happening::Missed(worker));
+            }
+        }
+    }
+
+    /// When something that is put on a pipe now arrives: later than what was put there before.
+    fn arrival(&mut self, worker: WorkerId, pipe: usize) -> Duration {
+        let at = self.now + self.micros(20, 500);
+        let last = &mut self.workers[worker.0 as usize].arrivals[pipe];
+        *last = at.max(*last);
+        *last
+    }
+
+    fn schedule(&mut self, at: Duration, happening: Happening) {
+        self.scheduled += 1;
+        self.under_way.insert((at, self.scheduled), happening);
+    }
+
+    /// A result from worker 0, there at once.
+    fn tile(&mut self, frame: FrameId, entry: TileEntry, length: usize) {
+        self.happen(Happening::Tile(WorkerId(0), frame, entry, vec![0; length]));
+    }
+
+    fn random_job(&mut self) -> FrameJob {
+        let side = |world: &mut Self| [1, 7, 32, 33, 64, 100][world.below(6) as usize];
+        let camera = LocalCamera { origin: Vec3::ZERO, forward: -Vec3::Z, right: Vec3::X, up: Vec3::Y };
+        FrameJob {
+            camera,
+            width: side(self),
+            height: side(self),
+            tile: [4, 8, 16, 31, 200][self.below(5) as usize],
+            samples: 1,
+            depth: 4,
+            seed: 0,
+            features: Features::default(),
+            format: PixelFormat::Rgba8,
+            balance: Balance::ALL[self.below(4) as usize],
+        }
+    }
+
+    fn micros(&mut self, from: u64, to: u64) -> Duration {
+        Duration::from_micros(from + self.below(to - from))
+    }
+
+    /// Xorshift (Marsaglia 2003): a few lines that give the same numbers everywhere.
+    fn below(&mut self, bound: u64) -> u64 {
+        self.random ^= self.random << 13;
+        self.random ^= self.random >> 7;
+        self.random ^= self.random << 17;
+        (self.random >> 11) % bound
+    }
+}
+
+fn render(task: RenderTask, time: Duration) -> RenderedTile {
+    let pixels = pixels(task.rect, task.frame.format);
+    let rays = Rays { primary: u64::from(task.rect.width) * u64::from(task.rect.height), ..Rays::default() };
+    RenderedTile { task, pixels, time, rays }
+}
