@@ -30,7 +30,8 @@ pub enum Workers {
     Local(LocalWorkers),
     /// Connections that exist, see [`Link::in_memory`].
     Links(Vec<Link>),
-    /// That many tickets are handed to the function, and whoever gets one (`tessera_worker::serve_ticket`) is expected to join.
+    /// That many tickets are handed to the function, and whoever gets one (`tessera_worker::serve_ticket`) is
+    /// expected to join.
     Tickets(u32, Box<dyn FnOnce(Vec<LocalTicket>) + Send>),
 }
 
@@ -50,7 +51,8 @@ pub struct LocalWorkers {
 /// How a cluster is started.
 #[derive(Clone, Debug, Default)]
 pub struct ClusterConfig {
-    /// The arithmetic that every worker must have (`tessera_worker::NUMERIC_CLASS`); `None`: that of the first to join.
+    /// The arithmetic that every worker must have (`tessera_worker::NUMERIC_CLASS`); `None`: that of the
+    /// first to join.
     pub numeric_class: Option<String>,
 }
 
@@ -86,7 +88,8 @@ struct Local {
 }
 
 impl Cluster {
-    /// Inputs that wait for the cluster; a task that finds the queue full waits itself, and so does its worker.
+    /// Inputs that wait for the cluster; a task that finds the queue full waits itself, and so does its
+    /// worker.
     const INPUTS: usize = 32;
 
     /// How long local processes may take to join: loading a program on a busy machine, not work.
@@ -126,7 +129,8 @@ impl Cluster {
             }
             Workers::Local(workers) => {
                 let tickets = this.listen(workers.count, workers.threads)?;
-                for (index, (child, stdin)) in spawn::spawn(&workers, &tickets).await?.into_iter().enumerate() {
+                for (index, (child, stdin)) in spawn::spawn(&workers, &tickets).await?.into_iter().enumerate()
+                {
                     this.tasks.spawn(watch(index, child, this.tell.clone()));
                     this.locals[index]._stdin = Some(stdin);
                 }
@@ -326,7 +330,8 @@ impl Cluster {
         }
     }
 
-    /// Does what the coordinator wants, and hands on its events. `pack` is the one on offer while it is loaded.
+    /// Does what the coordinator wants, and hands on its events. `pack` is the one on offer while it is
+    /// loaded.
     fn carry_out(&mut self, pack: Option<&Pack>) -> Vec<Event> {
         let mut events = Vec::new();
         while let Some(output) = self.coordinator.poll() {
@@ -352,7 +357,6 @@ impl Cluster {
             Event::Tile { done, total } => progress(Progress::Tiles { done, total }),
             Event::Lost(worker, reason) => {
                 let name = self.describe(worker);
-                tracing::warn!("{name} is lost: {reason}");
                 progress(Progress::WorkerLost { name: &name, reason: &reason });
                 self.last_lost = format!("{name}: {reason}");
             }

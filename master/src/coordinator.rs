@@ -1,6 +1,7 @@
 //! All workers and the current frame together. Pure: what came in and `now` go in, [`Output`]s come out.
 //!
-//! A whole cluster runs in one thread under a virtual clock this way; `Cluster` is the same thing with sockets.
+//! A whole cluster runs in one thread under a virtual clock this way; `Cluster` is the same thing with
+//! sockets.
 
 use crate::{
     FrameBuffer, FrameJob, Timings, WorkerReport,

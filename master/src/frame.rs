@@ -108,7 +108,8 @@ pub struct WorkerReport {
     pub lost: Option<String>,
 }
 
-/// Where a frame's time went, by the master's clock. `frame` is `render` + `return_`; `send_scene` lies before it.
+/// Where a frame's time went, by the master's clock. `frame` is `render` + `return_`; `send_scene` lies
+/// before it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Timings {
     /// From the pack's first offer to the last worker's word that it holds it.

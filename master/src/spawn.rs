@@ -34,8 +34,8 @@ pub(crate) fn tickets(
     (0..count).map(ticket).collect()
 }
 
-/// Starts a process for each ticket and hands it over through standard input, which must then be kept open: its end is the worker's.
-/// Dropping a child kills it.
+/// Starts a process for each ticket and hands it over through standard input, which must then be kept open:
+/// its end is the worker's. Dropping a child kills it.
 pub(crate) async fn spawn(
     workers: &LocalWorkers,
     tickets: &[LocalTicket],

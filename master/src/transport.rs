@@ -1,5 +1,5 @@
-//! A connection to one worker as four byte pipes, whatever carries them. The worker has the same few lines for reading and writing:
-//! the rooms under `shared/` know no runtime.
+//! A connection to one worker as four byte pipes, whatever carries them. The worker has the same few lines
+//! for reading and writing: the rooms under `shared/` know no runtime.
 
 use std::io;
 use tessera_wire::codec::{self, CodecError, Message, PREFIX_BYTES};
@@ -35,7 +35,8 @@ impl Link {
     /// Bytes that one in-memory pipe holds before its writer waits.
     const PIPE_BYTES: usize = 256 << 10;
 
-    /// A connection within this process: the master's end, and the pipes to hand to a worker (`--workers 0`, audits, tests).
+    /// A connection within this process: the master's end, and the pipes to hand to a worker (`--workers 0`,
+    /// audits, tests).
     pub fn in_memory() -> (Self, Pipes) {
         let (control_here, control_there) = tokio::io::duplex(Self::PIPE_BYTES);
         let (bulk_here, bulk_there) = tokio::io::duplex(Self::PIPE_BYTES);
@@ -50,7 +51,10 @@ impl Link {
             }
         };
         let here = pipes(control_here, bulk_here);
-        (Self { pipes: here, peer: "in this process".into(), connection: None }, pipes(control_there, bulk_there))
+        (
+            Self { pipes: here, peer: "in this process".into(), connection: None },
+            pipes(control_there, bulk_there),
+        )
     }
 }
 

@@ -8,8 +8,9 @@ use tessera_wire::{
 };
 use tokio::{sync::oneshot, time::timeout};
 
-/// A local worker process: reads its [`LocalTicket`] from standard input, serves, and ends when the master dismisses it or standard
-/// input closes. Needs a tokio runtime with I/O and time. Print its error on stderr and exit with 1.
+/// A local worker process: reads its [`LocalTicket`] from standard input, serves, and ends when the master
+/// dismisses it or standard input closes. Needs a tokio runtime with I/O and time. Print its error on stderr
+/// and exit with 1.
 pub async fn run_local() -> Result<(), WorkerError> {
     let (ticket, master_gone) = read_ticket().await?;
     let stop = async {
@@ -21,7 +22,8 @@ pub async fn run_local() -> Result<(), WorkerError> {
     serve_ticket(ticket, stop).await
 }
 
-/// Connects to the master that wrote `ticket` and serves it until it dismisses the worker, or until `stop` is ready.
+/// Connects to the master that wrote `ticket` and serves it until it dismisses the worker, or until `stop` is
+/// ready.
 pub async fn serve_ticket(ticket: LocalTicket, stop: impl Future<Output = ()>) -> Result<(), WorkerError> {
     tokio::pin!(stop);
     let connection = tokio::select! {
@@ -34,11 +36,13 @@ pub async fn serve_ticket(ticket: LocalTicket, stop: impl Future<Output = ()>) -
     served
 }
 
-/// The ticket, and a receiver that is ready once standard input has ended: the master is gone, however it went.
+/// The ticket, and a receiver that is ready once standard input has ended: the master is gone, however it
+/// went.
 async fn read_ticket() -> Result<(LocalTicket, oneshot::Receiver<()>), WorkerError> {
     let (ticket, received) = oneshot::channel();
     let (gone, master_gone) = oneshot::channel();
-    // A thread of its own: a runtime would wait for its blocking tasks, and this read may last as long as the process.
+    // A thread of its own: a runtime would wait for its blocking tasks, and this read may last as long as the
+    // process.
     let watch = move || {
         let mut input = std::io::stdin().lock();
         let _ = ticket.send(parse_ticket(&mut input));

@@ -2,7 +2,8 @@
 
 use crate::{WorkerError, WorkerPipes};
 use quinn::{
-    ClientConfig, Connection, Endpoint, IdleTimeout, TransportConfig, VarInt, crypto::rustls::QuicClientConfig,
+    ClientConfig, Connection, Endpoint, IdleTimeout, TransportConfig, VarInt,
+    crypto::rustls::QuicClientConfig,
 };
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer};
 use std::{
@@ -48,7 +49,8 @@ pub(crate) async fn connect(ticket: &LocalTicket) -> Result<Connected, WorkerErr
             .connect_with(client_config(ticket)?, address, codec::SERVER_NAME)
             .map_err(|e| e.to_string())?;
         let connection = connecting.await.map_err(|e| e.to_string())?;
-        // The handshake ends on this side before the master has judged the certificate: its first stream is the proof that it has.
+        // The handshake ends on this side before the master has judged the certificate: its first stream is
+        // the proof that it has.
         let (control_out, control_in) = connection.open_bi().await.map_err(|e| e.to_string())?;
         let mut bulk_out = connection.open_uni().await.map_err(|e| e.to_string())?;
         bulk_out.write_all(&codec::BULK_TAG).await.map_err(|e| e.to_string())?;
@@ -106,7 +108,8 @@ fn client_config(ticket: &LocalTicket) -> Result<ClientConfig, String> {
     Ok(config)
 }
 
-/// QUIC's settings on this side; the numbers and their reasons are in [`limits`]. The master has the mirror image.
+/// QUIC's settings on this side; the numbers and their reasons are in [`limits`]. The master has the mirror
+/// image.
 fn transport() -> TransportConfig {
     let mut transport = TransportConfig::default();
     transport

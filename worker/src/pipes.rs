@@ -1,4 +1,5 @@
-//! Messages and raw bytes on pipes. The master has the same few lines: the rooms under `shared/` know no runtime.
+//! Messages and raw bytes on pipes. The master has the same few lines: the rooms under `shared/` know no
+//! runtime.
 
 use std::io;
 use tessera_wire::codec::{self, CodecError, Message, PREFIX_BYTES};

@@ -13,7 +13,8 @@ pub(crate) struct Assembly {
 }
 
 impl Assembly {
-    /// Room for `length` bytes, reserved at once; the session has checked `length` against the worker's memory.
+    /// Room for `length` bytes, reserved at once; the session has checked `length` against the worker's
+    /// memory.
     pub(crate) fn new(pack: PackId, length: u64) -> Result<Self, PackRefusal> {
         let out_of_memory = PackRefusal::OutOfMemory { needs: length, has: 0 };
         let buffer = usize::try_from(length).ok().and_then(PackBuffer::with_len).ok_or(out_of_memory)?;
@@ -42,7 +43,8 @@ impl Assembly {
         Ok(&mut rest[..chunk.length as usize])
     }
 
-    /// The pack, checked: its stored hash against the content, and its id against what was offered. Takes seconds for a large one.
+    /// The pack, checked: its stored hash against the content, and its id against what was offered. Takes
+    /// seconds for a large one.
     pub(crate) fn finish(self) -> Result<Pack, PackRefusal> {
         let pack = Pack::from_buffer(self.buffer).map_err(|e| match e {
             PackError::OutOfMemory(needs) => PackRefusal::OutOfMemory { needs, has: 0 },
@@ -56,7 +58,8 @@ impl Assembly {
     }
 }
 
-/// Reads the chunks of a pack from `pipe`, and checks it. The outer error ends the connection, the inner one only refuses the pack.
+/// Reads the chunks of a pack from `pipe`, and checks it. The outer error ends the connection, the inner one
+/// only refuses the pack.
 pub(crate) async fn receive(
     pipe: &mut Reader,
     mut assembly: Assembly,

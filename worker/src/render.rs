@@ -12,7 +12,7 @@ pub(crate) struct RenderThread {
 /// What the thread says.
 pub(crate) enum RenderEvent {
     /// A tile is finished.
-    Rendered(RenderedTile),
+    Rendered(Box<RenderedTile>),
     /// The renderer has panicked: a bug; nothing more will come.
     Panicked,
 }
@@ -33,7 +33,9 @@ impl RenderThread {
             while let Ok((task, pack)) = queue.recv() {
                 let begun = Instant::now();
                 let (pixels, rays) = pool.install(|| cpu::render(&pack, &task.frame, task.rect));
-                (tell.0)(RenderEvent::Rendered(RenderedTile { task, pixels, time: begun.elapsed(), rays }));
+                let time = begun.elapsed();
+                let tile = RenderedTile { task, pixels, time, rays };
+                (tell.0)(RenderEvent::Rendered(Box::new(tile)));
             }
         })?;
         Ok(Self { tasks })

@@ -166,7 +166,7 @@ impl Driver {
         let renderer = RenderThread::start(threads, move |event| {
             // The driver may be gone; the thread then ends with it.
             let _ = tell.blocking_send(match event {
-                RenderEvent::Rendered(tile) => Event::Rendered(Box::new(tile)),
+                RenderEvent::Rendered(tile) => Event::Rendered(tile),
                 RenderEvent::Panicked => Event::RendererPanicked,
             });
         })
@@ -175,7 +175,8 @@ impl Driver {
         Ok(Self { events, control, control_writer, bulk, wanted_packs, renderer, pack, _tasks: tasks })
     }
 
-    /// Does what the session wants; the ending, if that is it. A task that has ended has told so in an event: sends may fail.
+    /// Does what the session wants; the ending, if that is it. A task that has ended has told so in an event:
+    /// sends may fail.
     fn act(&mut self, action: Action, session: &mut Session) -> Option<Ending> {
         match action {
             Action::Send(message) => {

@@ -53,8 +53,8 @@ struct Active {
 pub enum Action {
     /// Send a message.
     Send(ToMaster),
-    /// Forget any pack, find room for `length` bytes and call [`Session::pack_reserved`]; if that went well, take them from the bulk
-    /// pipe and call [`Session::pack_received`].
+    /// Forget any pack, find room for `length` bytes and call [`Session::pack_reserved`]; if that went well,
+    /// take them from the bulk pipe and call [`Session::pack_received`].
     Receive {
         /// Which pack.
         pack: PackId,
@@ -455,7 +455,8 @@ mod tests {
         s.message(ToWorker::Assign { frame: FrameId(id), attempt: Attempt(0), tiles });
     }
 
-    /// Renders everything that is asked for; what was said and returned, in order: `r` for `Rendered`, a number for a batch of so many tiles.
+    /// Renders everything that is asked for; what was said and returned, in order: `r` for `Rendered`, a
+    /// number for a batch of so many tiles.
     fn run(s: &mut Session) -> String {
         let mut log = String::new();
         while let Some(action) = s.poll() {
@@ -590,11 +591,12 @@ mod tests {
         let first = ToWorker::Frame(frame(1, ReturnMode::AtEnd));
         let welcome = |version| ToWorker::Welcome { version, worker: WorkerId(0) };
         let new = || Session::start(hello(), None, Duration::ZERO);
-        check(new(), &[end.clone()], AbortCode::Unexpected);
+        check(new(), std::slice::from_ref(&end), AbortCode::Unexpected);
         check(new(), &[welcome(9)], AbortCode::Unexpected);
         check(joined(None), &[welcome(1)], AbortCode::Unexpected);
-        check(joined(None), &[ToWorker::Refuse(Refusal::Full)], AbortCode::Unexpected);
-        check(joined(None), &[first.clone()], AbortCode::BadFrame);
+        let refusal = Refusal::NumericClass { expected: "gpu-1".into() };
+        check(joined(None), &[ToWorker::Refuse(refusal)], AbortCode::Unexpected);
+        check(joined(None), std::slice::from_ref(&first), AbortCode::BadFrame);
         check(loaded(), &[end], AbortCode::Unexpected);
         check(loaded(), &[tiles(&[0])], AbortCode::Unexpected);
         check(loaded(), &[first.clone(), first.clone()], AbortCode::Unexpected);
@@ -619,8 +621,9 @@ mod tests {
 
         let mut s = Session::start(hello(), None, Duration::ZERO);
         actions(&mut s);
-        s.message(ToWorker::Refuse(Refusal::Full));
-        assert_eq!(actions(&mut s), [Action::Over(Ending::Refused(Refusal::Full))]);
+        let refusal = Refusal::Version { supported: vec![9] };
+        s.message(ToWorker::Refuse(refusal.clone()));
+        assert_eq!(actions(&mut s), [Action::Over(Ending::Refused(refusal))]);
 
         let mut s = loaded();
         s.message(ToWorker::Dismiss);

@@ -2,19 +2,19 @@
 
 use tessera_wire::{TileGrid, TileId};
 
-/// Owner of `tile` in row-by-row round robin (Seo, Park, Ihm 2022): `tile mod workers`. When `workers` divides the columns, every worker
-/// gets whole columns of the image.
+/// Owner of `tile` in row-by-row round robin (Seo, Park, Ihm 2022): `tile mod workers`. When `workers`
+/// divides the columns, every worker gets whole columns of the image.
 pub fn row_major_owner(tile: TileId, workers: u32) -> u32 {
     tile.0 % workers
 }
 
 /// A deal without stripes: tile (column, row) belongs to worker `(column + k row) mod S`.
 ///
-/// With k coprime to S, any S neighbours in a row **or a column** have S different owners: in every row and every column the loads
-/// differ by at most one tile. Over the image they differ by at most `min(columns mod S, rows mod S)`, because whole blocks of S
-/// columns or S rows are shared out evenly. Among such k the one with the most even loads is taken, and of those the one next to the
-/// golden section of S, whose lattice keeps a worker's tiles farthest apart (k = 1 and k = S - 1 are diagonals, avoided where
-/// there is another).
+/// With k coprime to S, any S neighbours in a row **or a column** have S different owners: in every row and
+/// every column the loads differ by at most one tile. Over the image they differ by at most `min(columns mod
+/// S, rows mod S)`, because whole blocks of S columns or S rows are shared out evenly. Among such k the one
+/// with the most even loads is taken, and of those the one next to the golden section of S, whose lattice
+/// keeps a worker's tiles farthest apart (k = 1 and k = S - 1 are diagonals, avoided where there is another).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Deal {
     columns: u32,
@@ -40,7 +40,8 @@ impl Deal {
     /// Owner of `tile`, below the number of workers.
     pub fn owner(&self, tile: TileId) -> u32 {
         let (column, row) = (tile.0 % self.columns, tile.0 / self.columns);
-        // No overflow: fewer than 2^16 rows, and a multiplier below the number of workers, taken mod it first.
+        // No overflow: fewer than 2^16 rows, and a multiplier below the number of workers, taken mod it
+        // first.
         let workers = u64::from(self.workers);
         ((u64::from(column) + u64::from(self.multiplier) * u64::from(row)) % workers) as u32
     }

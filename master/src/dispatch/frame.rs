@@ -4,8 +4,9 @@ use super::{Balance, Deal, row_major_owner};
 use std::collections::{BTreeMap, VecDeque};
 use tessera_wire::{Attempt, TileGrid, TileId, WorkerId};
 
-/// Tiles that a worker of the dynamic balancing may hold: one is rendered while two wait, which hides a round trip of up to two tile
-/// times. Towards the end of a frame it falls to one, so that nobody hoards the last tiles.
+/// Tiles that a worker of the dynamic balancing may hold: one is rendered while two wait, which hides a round
+/// trip of up to two tile times. Towards the end of a frame it falls to one, so that nobody hoards the last
+/// tiles.
 const PREFETCH: usize = 3;
 
 /// State of one frame.
@@ -103,7 +104,8 @@ impl Dispatch {
     pub fn accept(&mut self, worker: WorkerId, tile: TileId, attempt: Attempt) -> Result<bool, Violation> {
         let wrong = Violation::NotAssigned { tile: tile.0, attempt: attempt.0 };
         let Some(state) = self.tiles.get_mut(tile.0 as usize) else { return Err(wrong) };
-        // The latest attempt belongs to its holder; an earlier one may still come from a worker that left in between.
+        // The latest attempt belongs to its holder; an earlier one may still come from a worker that left in
+        // between.
         let latest = attempt.0 + 1 == state.handed;
         if attempt.0 >= state.handed || (latest && state.holder.is_some_and(|holder| holder != worker)) {
             return Err(wrong);
@@ -117,7 +119,8 @@ impl Dispatch {
         Ok(true)
     }
 
-    /// `worker` is gone; who gets its unfinished tiles. With no worker left they wait (see [`Dispatch::workers`]).
+    /// `worker` is gone; who gets its unfinished tiles. With no worker left they wait (see
+    /// [`Dispatch::workers`]).
     pub fn lost(&mut self, worker: WorkerId) -> Vec<Assignment> {
         if self.queued.remove(&worker).is_none() {
             return Vec::new();
@@ -296,7 +299,8 @@ mod tests {
             assert!(!again.iter().any(|a| a.tiles.contains(&TileId(mine[0]))), "{balance}");
             assert_eq!(d.lost(WorkerId(1)), []);
             if let Some(&late) = mine.get(1) {
-                // In flight when the worker left: it may win over the next attempt, whose result is then dropped.
+                // In flight when the worker left: it may win over the next attempt, whose result is then
+                // dropped.
                 assert_eq!(d.accept(WorkerId(1), TileId(late), Attempt(0)), Ok(true));
             }
             assert_eq!(d.rendered(WorkerId(1), 1), Ok(Vec::new()), "words of the dead are ignored");

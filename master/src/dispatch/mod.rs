@@ -12,11 +12,13 @@ use tessera_wire::ReturnMode;
 /// How tiles get to workers. All four make the same image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum Balance {
-    /// Tile `t` to worker `t mod S`, row by row; each worker returns all its tiles at once (Seo, Park, Ihm 2022, Figure 5).
+    /// Tile `t` to worker `t mod S`, row by row; each worker returns all its tiles at once (Seo, Park, Ihm
+    /// 2022, Figure 5).
     PaperStatic,
     /// A deal without vertical or horizontal stripes, returned in batches while rendering goes on.
     Static,
-    /// One tile at a time to whoever asks; the next is asked for while the last one travels (ibid., Figure 4).
+    /// One tile at a time to whoever asks; the next is asked for while the last one travels (ibid., Figure
+    /// 4).
     PaperDynamic,
     /// Pulled with a few tiles ahead of need, returned in batches.
     #[default]

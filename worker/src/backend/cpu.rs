@@ -9,11 +9,13 @@ use tessera_wire::{Frame, PixelFormat, Rays, Rect};
 /// What `Hello` calls this backend.
 pub(crate) const NAME: &str = "cpu";
 
-/// Pixels that one task renders: about a quarter of a millisecond of work in the cheapest scene, against a microsecond to hand it out,
-/// and 64 tasks in a tile of 128 x 128, so that threads finish within 1/64 of each other's work.
+/// Pixels that one task renders: about a quarter of a millisecond of work in the cheapest scene, against a
+/// microsecond to hand it out, and 64 tasks in a tile of 128 x 128, so that threads finish within 1/64 of
+/// each other's work.
 const BLOCK_PIXELS: u32 = 256;
 
-/// Renders `rect` of `frame` with the threads of the current rayon pool: pixels in the frame's format, and the rays traced.
+/// Renders `rect` of `frame` with the threads of the current rayon pool: pixels in the frame's format, and
+/// the rays traced.
 pub(crate) fn render(pack: &Pack, frame: &Frame, rect: Rect) -> (Vec<u8>, Rays) {
     let params = params(frame);
     let pixel_bytes = params.format.bytes_per_pixel();
@@ -31,7 +33,8 @@ pub(crate) fn render(pack: &Pack, frame: &Frame, rect: Rect) -> (Vec<u8>, Rays) 
     (pixels, Rays { primary, shadow, reflection, refraction })
 }
 
-/// Cuts `rect` into blocks whose pixels lie together in `pixels`: whole rows where they are short, pieces of rows where they are long.
+/// Cuts `rect` into blocks whose pixels lie together in `pixels`: whole rows where they are short, pieces of
+/// rows where they are long.
 fn split(rect: Rect, pixel_bytes: usize, mut pixels: &mut [u8]) -> Vec<(PixelBlock, &mut [u8])> {
     let columns = rect.width.min(BLOCK_PIXELS);
     let rows = if columns < rect.width { 1 } else { (BLOCK_PIXELS / columns).max(1) };
