@@ -191,3 +191,101 @@ fn round_up(x: f64) -> f32 {
     let nearest = x as f32;
     if f64::from(nearest) < x { nearest.next_up() } else { nearest }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CUBE: Cell = Cell { min: [0.0; 3], max: [8.0; 3] };
+
+    fn plane(axis: usize, position: f32) -> Plane {
+        Plane { axis, position, flat_go_low: true }
+    }
+
+    /// Clips a triangle whose box is first cut to the cell.
+    fn halves(triangle: [Vec3; 3], cell: &Cell, plane: &Plane) -> [Option<Cell>; 2] {
+        let around = Cell::around(triangle);
+        let bounds = Cell {
+            min: std::array::from_fn(|k| around.min[k].max(cell.min[k])),
+            max: std::array::from_fn(|k| around.max[k].min(cell.max[k])),
+        };
+        clip_halves(triangle, &bounds, cell, plane, margin(&CUBE))
+    }
+
+    fn is_close(a: [f32; 3], b: [f32; 3]) -> bool {
+        a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 2e-6)
+    }
+
+    #[test]
+    fn both_parts_of_a_triangle_get_their_own_box() {
+        // A right triangle in the plane z = 1 whose long side falls from (0, 4) to (8, 0).
+        let triangle = [Vec3::new(0.0, 0.0, 1.0), Vec3::new(8.0, 0.0, 1.0), Vec3::new(0.0, 4.0, 1.0)];
+        let [Some(low), Some(high)] = halves(triangle, &CUBE, &plane(0, 4.0)) else {
+            panic!("both halves hold a part")
+        };
+        assert_eq!((low.min, low.max), ([0.0, 0.0, 1.0], [4.0, 4.0, 1.0]));
+        assert!(is_close(high.min, [4.0, 0.0, 1.0]) && is_close(high.max, [8.0, 2.0, 1.0]), "{high:?}");
+        assert!(high.max[1] >= 2.0, "rounded outward");
+    }
+
+    #[test]
+    fn a_side_that_the_part_in_the_cell_does_not_reach_gets_nothing() {
+        // The triangle reaches beyond x = 6 only where y > 8, outside the cell.
+        let triangle = [Vec3::new(0.0, 0.0, 1.0), Vec3::new(0.0, 4.0, 1.0), Vec3::new(12.0, 24.0, 1.0)];
+        let [low, high] = halves(triangle, &CUBE, &plane(0, 6.0));
+        assert!(low.is_some_and(|b| b.max[0] < 4.1), "{low:?}");
+        assert_eq!(high, None);
+    }
+
+    #[test]
+    fn boxes_hold_every_point_of_their_part() {
+        let mut state = 7u64;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f32 / (1u64 << 24) as f32
+        };
+        let mut inside = 0;
+        for case in 0..3000 {
+            let triangle = [0; 3].map(|_| Vec3::new(next(), next(), next()) * 24.0 - 8.0);
+            let axis = case % 3;
+            let at = plane(axis, 1.0 + 6.0 * next());
+            let around = Cell::around(triangle);
+            if !(around.min[axis] < at.position && at.position < around.max[axis]) {
+                continue;
+            }
+            let limits = CUBE.split(&at);
+            let parts = if (0..3).all(|k| around.min[k] < 8.0 && around.max[k] > 0.0) {
+                halves(triangle, &CUBE, &at)
+            } else {
+                continue;
+            };
+            for _ in 0..40 {
+                let (u, v) = (f64::from(next()), f64::from(next()));
+                let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+                let [a, b, c] = triangle.map(Vec3::as_dvec3);
+                let point = (a * (1.0 - u - v) + b * u + c * v).to_array();
+                let holds = |cell: &Cell| {
+                    (0..3).all(|k| f64::from(cell.min[k]) <= point[k] && point[k] <= f64::from(cell.max[k]))
+                };
+                for (limit, part) in limits.iter().zip(&parts) {
+                    if holds(limit) {
+                        inside += 1;
+                        assert!(
+                            part.as_ref().is_some_and(holds),
+                            "case {case}: {point:?} is not in {part:?}"
+                        );
+                    }
+                }
+            }
+        }
+        assert!(inside > 5000, "only {inside} points lay in the cell");
+    }
+
+    #[test]
+    fn rounding_goes_outward() {
+        let between = 1.0 + f64::from(f32::EPSILON) / 4.0;
+        assert_eq!((round_down(between), round_up(between)), (1.0, 1.0f32.next_up()));
+        assert_eq!((round_down(-between), round_up(-between)), ((-1.0f32).next_down(), -1.0));
+        assert_eq!((round_down(0.5), round_up(0.5)), (0.5, 0.5));
+    }
+}

@@ -147,3 +147,51 @@ impl Part {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::build::BuildOptions;
+
+    const CUBE: Cell = Cell { min: [0.0; 3], max: [8.0; 3] };
+
+    /// A node split in the middle with the given references and leaves.
+    fn packed(refs: &[u32], left: &[u32], right: &[u32]) -> Output {
+        let mut output = Output::default();
+        let node = output.open_inner(&Plane { axis: 0, position: 4.0, flat_go_low: true }, refs);
+        output.leaf(left);
+        output.begin_right(node);
+        output.leaf(right);
+        output.close_inner(node, &CUBE, &Costs::new(&BuildOptions::default()));
+        output
+    }
+
+    #[test]
+    fn a_split_that_does_not_pay_becomes_one_leaf_of_all_its_triangles() {
+        // Each half has two thirds of the surface: 15 + 20 (2/3 * 2 + 2/3 * 2) = 68.3 against 20 for each of the union.
+        let output = packed(&[], &[1, 2], &[2, 3]);
+        assert_eq!((output.slots, output.list), (vec![Node::leaf(3, 0).0], vec![1, 2, 3]));
+        let output = packed(&[9], &[1], &[]);
+        assert_eq!((output.slots, output.list), (vec![Node::leaf(2, 0).0], vec![1, 9]));
+    }
+
+    #[test]
+    fn a_split_that_pays_stays() {
+        // 15 + 20 (2/3 * 3 + 2/3 * 3) = 95 against 120.
+        let output = packed(&[], &[1, 2, 3], &[4, 5, 6]);
+        let slots = vec![Node::inner(0, 4.0, 0, 2).0, Node::leaf(3, 0).0, Node::leaf(3, 3).0];
+        assert_eq!((output.slots, output.list), (slots, vec![1, 2, 3, 4, 5, 6]));
+    }
+
+    #[test]
+    fn appended_pieces_keep_their_structure() {
+        let whole = packed(&[7], &[1, 2, 3], &[4, 5, 6]);
+        let mut output = Output::default();
+        output.leaf(&[10, 11]);
+        output.append(packed(&[7], &[1, 2, 3], &[4, 5, 6])).unwrap();
+        assert_eq!(whole.slots[0], Node::inner(0, 4.0, 1, 3).0);
+        let moved = [Node::inner(0, 4.0, 1, 4).0, [7, u32::MAX], Node::leaf(3, 2).0, Node::leaf(3, 5).0];
+        assert_eq!(output.slots[1..], moved);
+        assert_eq!(output.list, [10, 11, 1, 2, 3, 4, 5, 6]);
+    }
+}
