@@ -166,7 +166,7 @@ struct Ends {
     used: usize,
 }
 
-const LANES: usize = 8;
+const LANES: usize = 4;
 
 // The three counts share a word, a byte each.
 const _: () = assert!(COUNTED.is_multiple_of(LANES) && COUNTED < 256);
