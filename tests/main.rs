@@ -1,7 +1,10 @@
-//! Promises that are kept by the whole: the built binary, the workspace's own rules.
+//! Promises that are kept by the whole: the built binary, the prepared pack, the workspace's own rules.
 
 mod cli;
 mod cluster;
+mod processes;
+mod rays;
+mod scenes;
 mod simulation;
 mod support;
 mod tidy;

@@ -2,13 +2,13 @@
 
 use std::ffi::OsStr;
 use std::fs;
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-/// No run in these tests takes a tenth of it on a slow machine; what takes longer hangs.
+/// Longest wait for a line of output, or for the end. No run takes a tenth of it on a slow machine; what takes longer hangs.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A run of `tessera` to be.
@@ -42,16 +42,67 @@ impl Tessera {
     }
 
     /// Runs it to its end.
-    pub fn run(mut self) -> Outcome {
+    pub fn run(self) -> Outcome {
+        self.start().finish()
+    }
+
+    /// Starts it.
+    pub fn start(mut self) -> Live {
         let mut child = Running(self.0.spawn().expect("the binary starts"));
         let (out, err) = (child.0.stdout.take().expect("piped"), child.0.stderr.take().expect("piped"));
-        let (stdout, stderr) = (reader(out), reader(err));
-        let read = |from: mpsc::Receiver<String>| {
-            from.recv_timeout(PATIENCE).unwrap_or_else(|_| panic!("{:?} hangs", self.0))
-        };
-        let (stdout, stderr) = (read(stdout), read(stderr));
-        let status = child.0.wait().expect("a child can be waited for");
-        Outcome { code: status.code(), stdout, stderr }
+        let what = format!("{:?}", self.0);
+        Live { what, child, stdout: lines(out), stderr: lines(err), seen: String::new() }
+    }
+}
+
+/// A run under way.
+pub struct Live {
+    what: String,
+    child: Running,
+    stdout: mpsc::Receiver<String>,
+    stderr: mpsc::Receiver<String>,
+    /// Of stderr.
+    seen: String,
+}
+
+impl Live {
+    /// Waits until it has written a line with `text` to stderr.
+    pub fn wait_for(&mut self, text: &str) {
+        while let Some(line) = next(&self.stderr, &self.what) {
+            self.seen += &line;
+            if line.contains(text) {
+                return;
+            }
+        }
+        panic!("{} ended without saying {text:?}: {}", self.what, self.seen);
+    }
+
+    /// Its process.
+    pub fn id(&self) -> u32 {
+        self.child.0.id()
+    }
+
+    /// Processes that it has started and that have not ended.
+    #[cfg(target_os = "linux")]
+    pub fn children(&self) -> Vec<u32> {
+        let tasks = fs::read_dir(format!("/proc/{}/task", self.id())).expect("it runs");
+        tasks
+            .filter_map(|task| fs::read_to_string(task.ok()?.path().join("children")).ok())
+            .flat_map(|ids| ids.split_whitespace().map(|id| id.parse().expect("an id")).collect::<Vec<_>>())
+            .collect()
+    }
+
+    /// Waits for its end.
+    pub fn finish(mut self) -> Outcome {
+        let mut stdout = String::new();
+        while let Some(line) = next(&self.stderr, &self.what) {
+            self.seen += &line;
+        }
+        while let Some(line) = next(&self.stdout, &self.what) {
+            stdout += &line;
+        }
+        let status = self.child.0.wait().expect("a child can be waited for");
+        Outcome { code: status.code(), stdout, stderr: std::mem::take(&mut self.seen) }
     }
 }
 
@@ -66,16 +117,51 @@ impl Drop for Running {
     }
 }
 
-fn reader(mut from: impl Read + Send + 'static) -> mpsc::Receiver<String> {
+/// Lines as they come, each with its end. Whatever is written is read at once, so that no full pipe stops the writer.
+fn lines(from: impl Read + Send + 'static) -> mpsc::Receiver<String> {
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
-        let mut bytes = Vec::new();
-        let read = from.read_to_end(&mut bytes);
-        let text = read.map(|_| String::from_utf8_lossy(&bytes).into_owned());
-        // Nobody listens any more when the test has failed meanwhile.
-        let _ = sender.send(text.unwrap_or_default());
+        let mut from = BufReader::new(from);
+        let mut line = Vec::new();
+        while matches!(from.read_until(b'\n', &mut line), Ok(1..)) {
+            // Nobody listens any more when the test has failed meanwhile.
+            let _ = sender.send(String::from_utf8_lossy(&line).into_owned());
+            line.clear();
+        }
     });
     receiver
+}
+
+/// The next line, `None` at the end.
+fn next(from: &mpsc::Receiver<String>, what: &str) -> Option<String> {
+    match from.recv_timeout(PATIENCE) {
+        Ok(line) => Some(line),
+        Err(mpsc::RecvTimeoutError::Disconnected) => None,
+        Err(mpsc::RecvTimeoutError::Timeout) => panic!("{what} hangs"),
+    }
+}
+
+/// Sends a signal (`INT`, `KILL`) to a process.
+#[cfg(unix)]
+pub fn signal(name: &str, process: u32) {
+    let status = Command::new("kill").args([format!("-{name}"), process.to_string()]).status();
+    assert!(status.expect("kill runs").success(), "process {process} cannot be signalled");
+}
+
+/// Waits until a process has ended; one that nobody has asked for its status counts.
+#[cfg(target_os = "linux")]
+pub fn wait_until_ended(process: u32) {
+    let deadline = Instant::now() + PATIENCE;
+    let runs = || {
+        // The state is the first letter behind the name, which is in parentheses.
+        let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+        let state = stat.rsplit_once(") ")?.1.chars().next()?;
+        (!matches!(state, 'Z' | 'X')).then_some(())
+    };
+    while runs().is_some() {
+        assert!(Instant::now() < deadline, "process {process} is left behind");
+        std::thread::yield_now();
+    }
 }
 
 /// What a run left.
@@ -155,6 +241,18 @@ impl Folder {
 /// The repository's root.
 pub fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The folder of real scenes, if there is one: `TESSERA_SCENES`, else `../shared/scenes` beside the repository. Says on stderr when a
+/// test skips.
+pub fn scene_folder() -> Option<PathBuf> {
+    let named = std::env::var_os("TESSERA_SCENES").map(PathBuf::from);
+    let folder = named.unwrap_or_else(|| root().join("../shared/scenes"));
+    if folder.join("README.md").is_file() {
+        return Some(folder);
+    }
+    eprintln!("SKIPPED: no scenes in {}; set TESSERA_SCENES to their folder", folder.display());
+    None
 }
 
 /// Two triangles that face +z, one of them higher.

@@ -124,9 +124,11 @@ async fn frame(
         Cluster::start(workers(crew)?, config).await.map_err(CommandError::failed)?
     };
     let start = begin.elapsed();
+    tracing::info!("all workers have joined after {start:.1?}");
     {
         let bar = progress.bytes("sending the scene");
-        cluster.load(pack, |event| show(&bar, &event)).await.map_err(CommandError::failed)?;
+        let took = cluster.load(pack, |event| show(&bar, &event)).await.map_err(CommandError::failed)?;
+        tracing::info!("all workers hold the scene after {took:.1?}");
     }
     let frame = {
         let bar = progress.parts("rendering tiles");
@@ -139,10 +141,12 @@ async fn frame(
 fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
     match *event {
         tessera_master::Progress::Sent { bytes, total } => bar.set(bytes, total),
-        tessera_master::Progress::Tiles { done, total } => bar.set(done.into(), total.into()),
-        tessera_master::Progress::WorkerLost { name, reason } => {
-            tracing::warn!("lost {name}: {reason}; the other workers go on");
+        tessera_master::Progress::Tiles { done, total } => {
+            tracing::debug!("{done} of {total} tiles");
+            bar.set(done.into(), total.into());
         }
+        // The library logs it.
+        tessera_master::Progress::WorkerLost { .. } => {}
     }
 }
 

@@ -1,0 +1,149 @@
+//! One image from every number of workers, tile size and balancing; no process outlives its master.
+
+use crate::support::{Folder, Tessera};
+use serde_json::Value;
+
+const BALANCES: [&str; 4] = ["paper-static", "static", "paper-dynamic", "dynamic"];
+
+/// A folder with `box.tpack`: mirror, glass, shadows, packed once for all runs of a test.
+fn packed_box() -> Folder {
+    let folder = Folder::new();
+    folder.write("box.toml", "[generate]\nkind = \"cornell\"\ntriangles = 2000\n");
+    Tessera::new(["scene", "pack", "box.toml", "--out", "box.tpack"]).within(folder.path()).run().ok();
+    folder
+}
+
+/// A render of the box; `--json` and what is given.
+fn render(folder: &Folder, args: &str) -> Tessera {
+    Tessera::new(["render", "box.tpack", "--out", "box.png", "--json"])
+        .args(args.split(' '))
+        .within(folder.path())
+}
+
+fn hash(report: &Value) -> &str {
+    report["image_hash"].as_str().expect("a hash")
+}
+
+#[test]
+fn every_crew_makes_one_image() {
+    let folder = packed_box();
+    // Sides that no tile divides.
+    let expected = render(&folder, "--size 203x129 --tile 64").run().json();
+    let tiles = [32, 48, 128, 256];
+    for (i, workers) in [0, 1, 2, 3, 5, 8].into_iter().enumerate() {
+        for (j, balance) in BALANCES.into_iter().enumerate() {
+            // Every balancing meets every tile size.
+            let tile = tiles[(i + j) % tiles.len()];
+            let args =
+                format!("--size 203x129 --workers {workers} --balance {balance} --tile {tile} --threads 1");
+            let report = render(&folder, &args).run().json();
+            assert_eq!(hash(&report), hash(&expected), "{args}");
+            let crew = report["workers"].as_array().expect("workers");
+            assert_eq!(crew.len(), workers.max(1), "{args}");
+            let rendered: u64 = crew.iter().map(|w| w["tiles"].as_u64().expect("tiles")).sum();
+            assert_eq!(rendered, 203_u64.div_ceil(tile) * 129_u64.div_ceil(tile), "{args}");
+            assert_eq!(report["rays"], expected["rays"], "{args}: each tile is counted once");
+        }
+    }
+}
+
+#[test]
+fn every_format_and_sample_count_is_one_image_on_every_crew() {
+    let folder = packed_box();
+    for (out, args) in [
+        ("box.exr", "--size 67x45 --spp 3"),
+        ("deep.png", "--size 67x45 --bits 16 --spp 2"),
+        ("plain.png", "--size 67x45 --without shadows,reflection,refraction"),
+    ] {
+        let hashes = ["--workers 0 --threads 2", "--workers 3 --threads 1 --tile 16"].map(|crew| {
+            let run = Tessera::new(["render", "box.tpack", "--out", out, "--json"]).within(folder.path());
+            let report = run.args(args.split(' ')).args(crew.split(' ')).run().json();
+            hash(&report).to_owned()
+        });
+        assert_eq!(hashes[0], hashes[1], "{out} {args}");
+    }
+}
+
+#[test]
+fn a_bundle_renders_like_its_source() {
+    let folder = packed_box();
+    let bundle = render(&folder, "--size 64x64").run().json();
+    let source = Tessera::new(["render", "box.toml", "--out", "b.png", "--size", "64x64", "--json"])
+        .within(folder.path())
+        .run()
+        .json();
+    for key in ["image_hash", "pack_id", "camera"] {
+        assert_eq!(bundle[key], source[key], "{key}");
+    }
+}
+
+#[cfg(target_os = "linux")]
+mod ends {
+    use super::*;
+    use crate::support::{signal, wait_until_ended};
+
+    /// Much longer than any test waits, unless it is ended.
+    const ENDLESS: &str = "--size 512x512 --spp 65536 -v";
+
+    #[test]
+    fn ctrl_c_leaves_no_process_and_no_file() {
+        let folder = packed_box();
+        let before = folder.names();
+        for workers in [0, 3] {
+            let mut run = render(&folder, &format!("{ENDLESS} --workers {workers}")).start();
+            run.wait_for("all workers hold the scene");
+            let children = run.children();
+            assert_eq!(children.len(), workers);
+            signal("INT", run.id());
+            let outcome = run.finish();
+            assert_eq!(outcome.code, Some(130), "{outcome:?}");
+            assert!(outcome.stderr.ends_with("tessera: error: interrupted\n"), "{outcome:?}");
+            children.into_iter().for_each(wait_until_ended);
+            assert_eq!(folder.names(), before);
+        }
+    }
+
+    #[test]
+    fn workers_end_with_a_master_that_is_killed() {
+        let folder = packed_box();
+        let mut run = render(&folder, &format!("{ENDLESS} --workers 2")).start();
+        run.wait_for("all workers hold the scene");
+        let children = run.children();
+        assert_eq!(children.len(), 2);
+        signal("KILL", run.id());
+        children.into_iter().for_each(wait_until_ended);
+    }
+
+    #[test]
+    fn a_worker_killed_in_the_middle_changes_nothing() {
+        let folder = packed_box();
+        let size = "--size 256x256 --spp 16 --tile 32";
+        let expected = render(&folder, size).run().json();
+        for balance in BALANCES {
+            let args = format!("{size} --workers 3 --threads 1 --balance {balance} -v");
+            let mut run = render(&folder, &args).start();
+            // The frame, of a million paths, is still to come.
+            run.wait_for("all workers hold the scene");
+            signal("KILL", run.children()[1]);
+            let outcome = run.finish();
+            let report: Value = serde_json::from_str(&outcome.ok()).expect("one JSON object");
+            assert_eq!(hash(&report), hash(&expected), "{balance}");
+            let lost = report["workers"].as_array().expect("workers").iter().filter(|w| !w["lost"].is_null());
+            assert_eq!(lost.count(), 1, "{balance}: {report}");
+        }
+    }
+
+    #[test]
+    fn a_render_without_any_worker_left_fails() {
+        let folder = packed_box();
+        let before = folder.names();
+        let mut run = render(&folder, &format!("{ENDLESS} --workers 2")).start();
+        run.wait_for("all workers hold the scene");
+        run.children().into_iter().for_each(|child| signal("KILL", child));
+        let outcome = run.finish();
+        assert_eq!(outcome.code, Some(1), "{outcome:?}");
+        let last = outcome.stderr.lines().last().unwrap_or_default();
+        assert!(last.starts_with("tessera: error: all workers were lost"), "{outcome:?}");
+        assert_eq!(folder.names(), before);
+    }
+}
