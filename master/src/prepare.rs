@@ -90,6 +90,14 @@ pub enum PrepareError {
         /// Why.
         source: tessera_pack::BuildError,
     },
+    /// Every triangle was faulty.
+    #[error("{name}: no triangle is left to render; all were faulty and dropped ({dropped}); mend the file")]
+    Empty {
+        /// File or generator.
+        name: String,
+        /// Kinds and counts of what was dropped.
+        dropped: String,
+    },
     /// A `.tpack` file cannot be used.
     #[error("{path}: {what}", path = path.display())]
     Bundle {
@@ -106,7 +114,8 @@ pub fn prepare(path: &Path, options: &PrepareOptions) -> Result<Prepared, Prepar
         return read_bundle(path);
     }
     let start = Instant::now();
-    let scene = tessera_scene::load(path, &options.load)?;
+    let mut scene = tessera_scene::load(path, &options.load)?;
+    scene.name = path.display().to_string();
     prepare_scene(scene, options, start.elapsed())
 }
 
@@ -174,6 +183,11 @@ pub fn prepare_scene(
     let (pack, stats) = build_pack(input, &pack_options)
         .map_err(|source| PrepareError::Pack { name: name.clone(), source })?;
     source.dropped.extend_from_slice(&stats.dropped);
+    if stats.triangles == 0 {
+        let found = |(what, count): &(&'static str, u64)| (*count > 0).then(|| format!("{count} {what}"));
+        let dropped: Vec<_> = source.dropped.iter().filter_map(found).collect();
+        return Err(PrepareError::Empty { name, dropped: dropped.join(", ") });
+    }
     warnings.extend_from_slice(&stats.warnings);
     source.stats = stats;
     let timings = PrepareTimings { read, pack: start.elapsed() };
