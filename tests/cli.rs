@@ -258,3 +258,26 @@ fn the_hash_is_of_the_pixels_in_the_file() {
     let rows: Vec<u8> = picture.as_rgba16().unwrap().as_raw().iter().flat_map(|v| v.to_le_bytes()).collect();
     assert_eq!(sixteen, hash("rgba16", &rows));
 }
+
+#[test]
+fn the_environment_names_the_scene_folder_and_the_log_filter() {
+    let (here, elsewhere) = (Folder::new(), Folder::new());
+    elsewhere.write("a.ply", PLY);
+    here.write("scene.toml", "source = \"a.ply\"\n");
+    let render = || {
+        Tessera::new(["render", "scene.toml", "--out", "a.png", "--size", "8x8", "--json"])
+            .within(here.path())
+    };
+    render().run().fails(1, &["a.ply"]);
+    render().env("TESSERA_SCENES", elsewhere.path()).run().json();
+
+    let log = render().env("TESSERA_SCENES", elsewhere.path()).env("RUST_LOG", "tessera=debug");
+    let outcome = log.args(["--log-format", "json"]).run();
+    assert_eq!(outcome.code, Some(0), "{outcome:?}");
+    assert!(outcome.stderr.contains("tiles"), "{outcome:?}");
+    for line in outcome.stderr.lines() {
+        let line: serde_json::Value = serde_json::from_str(line).expect("a JSON object a line");
+        assert!(line["level"].is_string());
+    }
+    render().env("RUST_LOG", "tessera=loud").run().fails(2, &["RUST_LOG"]);
+}

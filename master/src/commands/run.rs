@@ -145,8 +145,9 @@ fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
             tracing::debug!("{done} of {total} tiles");
             bar.set(done.into(), total.into());
         }
-        // The library logs it.
-        tessera_master::Progress::WorkerLost { .. } => {}
+        tessera_master::Progress::WorkerLost { name, reason } => {
+            tracing::warn!("{name} is lost: {reason}; the others go on");
+        }
     }
 }
 
