@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tessera_geometry::{LocalCamera, Vec3};
 use tessera_master::{
-    Balance, Cluster, ClusterConfig, FrameJob, FrameResult, Link, LoadError, PixelFormat, RenderError,
-    StartError, Workers,
+    Balance, Cluster, ClusterConfig, FrameJob, FrameResult, Link, LoadError, LocalWorkers, PixelFormat,
+    RenderError, StartError, Workers,
 };
 use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
 use tessera_wire::{Features, FrameError, LocalTicket, PackRefusal};
@@ -126,6 +126,42 @@ async fn one_image_for_every_balancing_over_memory_and_over_quic() {
     for handle in handles {
         handle.await.expect("no panic").expect("dismissed");
     }
+}
+
+/// The built binary as worker processes.
+fn processes(count: u32, args: &[&str]) -> Workers {
+    Workers::Local(LocalWorkers {
+        program: env!("CARGO_BIN_EXE_tessera").into(),
+        args: args.iter().map(Into::into).collect(),
+        count,
+        threads: Some(1),
+    })
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn worker_processes_join_render_and_end() {
+    let pack = pack();
+    let workers = processes(3, &["worker"]);
+    let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("they join");
+    cluster.load(&pack, |_| ()).await.expect("they take the pack");
+    let dynamic = render(&mut cluster, &job(&pack, Balance::Dynamic)).await;
+    let paper = render(&mut cluster, &job(&pack, Balance::PaperStatic)).await;
+    assert_eq!(dynamic.image, paper.image);
+    let names: Vec<_> = paper.workers.iter().map(|w| (w.name.as_str(), w.tiles)).collect();
+    assert_eq!(names, [("local-0", 7), ("local-1", 7), ("local-2", 6)]);
+    cluster.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn processes_that_do_not_become_workers_are_named() {
+    let ended = Cluster::start(processes(2, &["--version"]), ClusterConfig::default()).await;
+    let message = ended.err().expect("it only prints").to_string();
+    assert!(message.starts_with("local-") && message.contains("its process has ended"), "{message}");
+
+    let missing = LocalWorkers { program: "no/such/program".into(), args: vec![], count: 1, threads: None };
+    let failed = Cluster::start(Workers::Local(missing), ClusterConfig::default()).await.err();
+    let message = failed.expect("there is none").to_string();
+    assert!(message.starts_with("cannot start worker process `no/such/program`"), "{message}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

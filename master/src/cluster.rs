@@ -371,7 +371,9 @@ impl Cluster {
         name.map_or_else(|| format!("{worker} ({})", self.lines[worker.0 as usize].peer), str::to_string)
     }
 
-    fn result(&self, pack: PackId, outcome: Outcome) -> FrameResult {
+    fn result(&self, pack: PackId, mut outcome: Outcome) -> FrameResult {
+        // By ticket: processes join in any order.
+        outcome.workers.sort_by_key(|w| self.locals.iter().position(|local| local.name == w.name));
         let udp = self.lines.iter().map(Line::udp_bytes).fold((0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
         FrameResult {
             image: outcome.image,

@@ -81,7 +81,7 @@ pub struct FrameResult {
     pub pack: PackId,
     /// The arithmetic that rendered it.
     pub numeric_class: String,
-    /// Every worker that took part, in the order of joining.
+    /// Every worker that took part, in the order in which they were started.
     pub workers: Vec<WorkerReport>,
     /// Where the time went.
     pub timings: Timings,
