@@ -40,7 +40,7 @@ pub struct Material {
 const _: () = assert!(size_of::<Material>() == 80);
 
 impl Default for Material {
-    /// White, rough, opaque plastic (glTF's default but for the metal, which is 0).
+    /// White, rough, opaque plastic, seen from both sides (glTF's default is a metal, seen from the front).
     fn default() -> Self {
         Self {
             base_color: [1.0; 4],
@@ -51,7 +51,7 @@ impl Default for Material {
             transmission: 0.0,
             ior: 1.5,
             alpha_cutoff: 0.5,
-            flags: 0,
+            flags: MaterialFlags::DOUBLE_SIDED,
             base_texture: NO_TEXTURE,
             metallic_roughness_texture: NO_TEXTURE,
             emissive_texture: NO_TEXTURE,
@@ -65,7 +65,8 @@ impl Default for Material {
 pub struct MaterialFlags;
 
 impl MaterialFlags {
-    /// Both sides are shaded; without it the back is shaded as well, but see `whitted` for which normal is used.
+    /// Both sides are seen. Without it a ray that looks at the back passes it as a hole, unless the material transmits
+    /// light; a shadow ray meets both sides always.
     pub const DOUBLE_SIDED: u32 = 1 << 0;
     /// The base colour is shown as it is, without lights.
     pub const UNLIT: u32 = 1 << 1;

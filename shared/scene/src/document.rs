@@ -118,7 +118,8 @@ pub struct Material {
     pub thin_walled: bool,
     /// Alpha.
     pub alpha: AlphaMode,
-    /// Seen from behind too.
+    /// Seen from behind too. A single-sided surface looks like a hole from behind, unless it transmits light; it casts its
+    /// shadow to both sides.
     pub double_sided: bool,
     /// Shown without lights.
     pub unlit: bool,

@@ -125,19 +125,39 @@ pub(crate) struct Seen {
     pub first: Option<Hit>,
 }
 
+/// The nearest surface that is seen along `ray` behind `after`, which replaces its `t_min`: holes excepted, and backs
+/// that do not show.
+pub(crate) fn nearest_seen(scene: &Renderer<'_>, ray: &Ray, after: After) -> Option<Hit> {
+    if scene.needs.hidden_backs {
+        let shows = |hit: &Hit| scene.shows_side(hit, ray.direction) && scene.is_solid(hit);
+        nearest_accepted(scene, ray, after, shows)
+    } else {
+        nearest(scene, ray, after)
+    }
+}
+
 /// The nearest surface along `ray` behind `after`, which replaces its `t_min`; holes excepted.
 pub(crate) fn nearest(scene: &Renderer<'_>, ray: &Ray, after: After) -> Option<Hit> {
+    if scene.needs.holes {
+        nearest_accepted(scene, ray, after, |hit| scene.is_solid(hit))
+    } else {
+        nearest_accepted(scene, ray, after, |_| true)
+    }
+}
+
+fn nearest_accepted(
+    scene: &Renderer<'_>,
+    ray: &Ray,
+    after: After,
+    accept: impl Fn(&Hit) -> bool,
+) -> Option<Hit> {
     if after.triangle == Hit::NO_TRIANGLE {
         let ray = Ray { t_min: after.t, ..*ray };
-        if scene.needs.holes {
-            scene.tree.closest_hit(&scene.mesh, &ray, |hit| scene.is_solid(hit))
-        } else {
-            scene.tree.closest_hit(&scene.mesh, &ray, |_| true)
-        }
+        scene.tree.closest_hit(&scene.mesh, &ray, accept)
     } else {
         // Let t begin just before the last hit, so that a coincident surface is met too.
         let rest = Ray { t_min: after.t.next_down(), ..*ray };
-        scene.tree.closest_hit(&scene.mesh, &rest, |hit| after.precedes(hit) && scene.is_solid(hit))
+        scene.tree.closest_hit(&scene.mesh, &rest, |hit| after.precedes(hit) && accept(hit))
     }
 }
 
@@ -168,7 +188,7 @@ pub(crate) fn trace(
         // pixel.
         let Segment { origin, direction, after, weight, depth, layers } = segment;
         let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
-        let Some(hit) = nearest(scene, &ray, after) else {
+        let Some(hit) = nearest_seen(scene, &ray, after) else {
             color += weight * scene.backdrop.radiance(direction);
             if depth == 0 && scene.backdrop.is_none() {
                 alpha = 1.0 - weight.max_element();

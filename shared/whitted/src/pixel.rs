@@ -1,7 +1,7 @@
 //! Blocks of pixels.
 
 use crate::color::{encode_linear, encode_srgb};
-use crate::path::{After, PathStack, Seen, nearest, trace};
+use crate::path::{After, PathStack, Seen, nearest_seen, trace};
 use crate::sample::{offset_in_pixel, pixel_seed};
 use crate::scene::Renderer;
 use crate::surface::geometric_normal;
@@ -98,7 +98,7 @@ fn pixel(
     }
     let first = if params.format == PixelFormat::Layers {
         counts.primary += 1;
-        nearest(scene, &centre, After::EYE)
+        nearest_seen(scene, &centre, After::EYE)
     } else {
         None
     };

@@ -1,6 +1,7 @@
 //! A pack made ready for rendering.
 
 use crate::environment::Backdrop;
+use crate::surface::{geometric_normal, meets_front};
 use crate::texture::{Coding, Images};
 use tessera_geometry::{Hit, Vec2, Vec3};
 use tessera_kdtree::TreeView;
@@ -28,6 +29,8 @@ pub struct Renderer<'a> {
 pub(crate) struct Needs {
     /// Some material has holes: every candidate hit is tested for one.
     pub(crate) holes: bool,
+    /// Some material does not show from behind: every candidate hit of a ray that looks is tested for its side.
+    pub(crate) hidden_backs: bool,
     /// Some material lets light through: a shadow ray steps from surface to surface.
     pub(crate) see_through: bool,
     /// There are vertex normals, texture coordinates (and a material that has a use for them), vertex colours.
@@ -50,6 +53,7 @@ impl<'a> Renderer<'a> {
             step: pack.frame().step,
             needs: Needs {
                 holes: materials.iter().any(|m| m.flags & MaterialFlags::ALPHA_MASK != 0),
+                hidden_backs: materials.iter().any(hides_its_back),
                 see_through: materials.iter().any(lets_light_through),
                 normals: mesh.has_normals(),
                 uvs: mesh.has_uvs() && materials.iter().any(is_textured),
@@ -99,6 +103,15 @@ impl<'a> Renderer<'a> {
         alpha >= material.alpha_cutoff
     }
 
+    /// Whether a ray along `direction` meets `hit` on a side that is seen.
+    pub(crate) fn shows_side(&self, hit: &Hit, direction: Vec3) -> bool {
+        if !hides_its_back(self.material(hit.triangle)) {
+            return true;
+        }
+        let corners = self.mesh.indices(hit.triangle).map(|v| self.mesh.position(v));
+        meets_front(geometric_normal(corners), direction)
+    }
+
     /// The interpolated texture coordinates, (0, 0) when nothing uses them.
     pub(crate) fn uv_at(&self, indices: [u32; 3], hit: &Hit) -> Vec2 {
         if !self.needs.uvs {
@@ -121,6 +134,12 @@ impl<'a> Renderer<'a> {
 pub(crate) fn lets_light_through(material: &Material) -> bool {
     let unlit = material.flags & MaterialFlags::UNLIT != 0;
     material.flags & MaterialFlags::ALPHA_BLEND != 0 || (material.transmission > 0.0 && !unlit)
+}
+
+/// Whether a surface of this material is not there for a ray that looks at its back. What transmits light keeps its
+/// back, single-sided or not: a ray must meet the far side of a glass body from within.
+fn hides_its_back(material: &Material) -> bool {
+    material.flags & MaterialFlags::DOUBLE_SIDED == 0 && material.transmission == 0.0
 }
 
 fn is_textured(material: &Material) -> bool {

@@ -36,9 +36,11 @@
 //! a ray on unbent: it is continued, not started anew, so that `ior == 1` glass of white base changes no bit of the
 //! picture behind it. Media do not nest: outside any glass is vacuum, and the side is told by the triangle's winding.
 //!
-//! **Sides.** Both sides of a triangle are shaded alike, double-sided or not: the normal is the one on the viewer's
-//! side. A single-sided surface of a closed body is never seen from behind, and elsewhere a wall is better than a
-//! hole.
+//! **Sides.** The normal is the one on the viewer's side, and a double-sided surface is shaded alike on both. A
+//! single-sided one has no back: rays from the eye, a mirror or glass pass it there as they pass a hole (glTF 2.0,
+//! section 3.9.7, calls it back-face culling). Shadow rays know no sides, so that a one-sided wall, open to the
+//! viewer behind it, still keeps the light out. What transmits light is met on both sides whatever its material says,
+//! for the inside of a glass body is the back of its surface.
 //!
 //! Reflection or refraction **switched off** acts on the material: without reflection `g = Fg = 0` (a metal turns
 //! diffuse), without refraction `T = 0` (glass turns opaque, `t` counts as 0).

@@ -50,7 +50,7 @@ pub(crate) fn surface_at(scene: &Renderer<'_>, hit: &Hit, direction: Vec3) -> Su
 
     // Turn the geometric normal towards the ray's origin.
     let normal = geometric_normal(corners);
-    let from_front = direction.dot(normal) <= 0.0;
+    let from_front = meets_front(normal, direction);
     let facing = if from_front { normal } else { -normal };
 
     // Interpolate the shading normal and keep it on the same side.
@@ -70,6 +70,12 @@ pub(crate) fn surface_at(scene: &Renderer<'_>, hit: &Hit, direction: Vec3) -> Su
 pub(crate) fn geometric_normal(corners: [Vec3; 3]) -> Vec3 {
     let [a, b, c] = corners.map(Vec3::as_dvec3);
     (b - a).cross(c - a).try_normalize().unwrap_or(DVec3::Y).as_vec3()
+}
+
+/// Whether a ray along `direction` comes to the side of a triangle where its `normal` is; a ray in its plane counts as one
+/// that does.
+pub(crate) fn meets_front(normal: Vec3, direction: Vec3) -> bool {
+    direction.dot(normal) <= 0.0
 }
 
 /// A shading normal that faces away from the viewer, as happens beside the silhouette of a coarse mesh, leans back
@@ -147,4 +153,15 @@ pub(crate) fn paint_at(scene: &Renderer<'_>, hit: &Hit) -> Paint {
         paint.alpha = 1.0;
     }
     paint
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_edge_on_triangle_is_met_in_front() {
+        assert!(meets_front(Vec3::Y, Vec3::NEG_Y) && !meets_front(Vec3::Y, Vec3::Y));
+        assert!(meets_front(Vec3::Y, Vec3::X) && meets_front(Vec3::NEG_Y, Vec3::X));
+    }
 }

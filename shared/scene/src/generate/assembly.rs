@@ -138,7 +138,6 @@ pub(super) fn matte(name: &str, color: [f32; 3]) -> Material {
         name: name.to_owned(),
         base_color: [color[0], color[1], color[2], 1.0],
         specular: [0.0; 3],
-        double_sided: false,
         ..Material::default()
     }
 }
@@ -161,14 +160,7 @@ pub(super) fn mirror(name: &str, color: [f32; 3]) -> Material {
 /// Clear or tinted glass with an inside.
 pub(super) fn glass(name: &str, color: [f32; 3], ior: f32) -> Material {
     let f0 = (ior - 1.0) / (ior + 1.0);
-    Material {
-        transmission: 1.0,
-        ior,
-        specular: [f0 * f0; 3],
-        roughness: 0.0,
-        double_sided: true,
-        ..matte(name, color)
-    }
+    Material { transmission: 1.0, ior, specular: [f0 * f0; 3], roughness: 0.0, ..matte(name, color) }
 }
 
 /// A pane without an inside: light passes unbent.
@@ -183,5 +175,5 @@ pub(super) fn glowing(name: &str, radiance: [f32; 3]) -> Material {
 
 /// A card whose image cuts holes.
 pub(super) fn cut_out(name: &str, texture: TextureRef) -> Material {
-    Material { alpha: AlphaMode::Mask(0.5), double_sided: true, ..textured(name, texture) }
+    Material { alpha: AlphaMode::Mask(0.5), ..textured(name, texture) }
 }

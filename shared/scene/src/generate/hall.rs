@@ -135,10 +135,7 @@ fn materials(a: &mut Assembly, seed: u64, texels: Option<u32>) -> Stuff {
         stone: a.material(matte("pale stone", [0.72, 0.66, 0.55])),
         screen: a.material(cut_out("screen", screen)),
         leaf: a.material(cut_out("leaf", leaf)),
-        banners: [
-            a.material(crate::Material { double_sided: true, ..textured("red banner", red) }),
-            a.material(crate::Material { double_sided: true, ..textured("blue banner", blue) }),
-        ],
+        banners: [a.material(textured("red banner", red)), a.material(textured("blue banner", blue))],
         silver: a.material(mirror("silver", [0.95, 0.95, 0.96])),
         gold: a.material(mirror("gold", [1.0, 0.78, 0.34])),
         clear: a.material(glass("glass", [0.97, 0.99, 0.98], 1.5)),

@@ -4,4 +4,5 @@ mod energy;
 mod frames;
 mod lights;
 mod refraction;
+mod sides;
 mod support;

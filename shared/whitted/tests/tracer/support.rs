@@ -128,10 +128,16 @@ pub fn glass(ior: f32) -> Material {
     Material { roughness: 0.0, transmission: 1.0, ior, ..Material::default() }
 }
 
+/// `material` without a back.
+pub fn one_sided(material: Material) -> Material {
+    Material { flags: material.flags & !MaterialFlags::DOUBLE_SIDED, ..material }
+}
+
 /// A surface that shows `color` whatever the light.
 pub fn unlit(color: [f32; 3]) -> Material {
     let [r, g, b] = color;
-    Material { base_color: [r, g, b, 1.0], flags: MaterialFlags::UNLIT, ..chalk() }
+    let flags = MaterialFlags::UNLIT | MaterialFlags::DOUBLE_SIDED;
+    Material { base_color: [r, g, b, 1.0], flags, ..chalk() }
 }
 
 pub fn point_light(position: [f32; 3], intensity: f32) -> Light {
