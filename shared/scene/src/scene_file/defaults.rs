@@ -1,6 +1,6 @@
 //! What a scene gets when its file does not state it.
 
-use crate::{Camera, Light, LightKind, Scene};
+use crate::{Camera, Environment, Light, LightKind, Material, Scene};
 use glam::DVec3;
 use std::f32::consts::PI;
 use tessera_geometry::CameraPose;
@@ -16,9 +16,17 @@ const TOWARDS_LIGHT: DVec3 = DVec3::new(-0.35, 1.0, 0.9);
 /// Share of white that the ambient light makes up; the key light has the rest, so that a white surface that faces it is
 /// just white: `ambient + lux / pi = 1`.
 const AMBIENT: f32 = 0.22;
+/// What mirrors and glass show when nothing is stated: a pale sky above brownish ground, no part of it brighter than a
+/// white surface in the default light.
+const SKY: Environment = Environment::Gradient {
+    zenith: [0.35, 0.5, 0.75],
+    horizon: [0.85, 0.88, 0.9],
+    nadir: [0.26, 0.24, 0.22],
+};
 
-/// Gives a scene without cameras one named `default`, and a scene without any light a key light and an ambient one; each
-/// is recorded in [`Scene::notes`]. `bounds` is the scene's box, low and high corner.
+/// Gives a scene without cameras one named `default`, and a scene without any light a key light and an ambient one. Mirrors
+/// and glass are dark where there is nothing to see, so such a scene gets a sky too when it has any of them and states no
+/// environment. Each is recorded in [`Scene::notes`]. `bounds` is the scene's box, low and high corner.
 pub fn add_defaults(scene: &mut Scene, bounds: (DVec3, DVec3)) {
     if scene.cameras.is_empty() {
         scene.cameras.push(Camera { name: "default".to_owned(), pose: framing(bounds) });
@@ -43,7 +51,21 @@ pub fn add_defaults(scene: &mut Scene, bounds: (DVec3, DVec3)) {
         scene.notes.push(format!(
             "default lights: the source states none; a directional light of {lux:.2} lux from the upper left and {AMBIENT} ambient"
         ));
+        if scene.environment == Environment::None && scene.materials.iter().any(shows_surroundings) {
+            scene.environment = SKY;
+            scene.notes.push(
+                "default environment: the source states neither lights nor an environment and has mirrors or glass; they show \
+                 a pale sky above brownish ground"
+                    .to_owned(),
+            );
+        }
     }
+}
+
+/// Whether the looks of a material are chiefly what lies around or behind it: smooth metal, and what transmits light.
+/// Images, which may make parts of it so, are not asked.
+fn shows_surroundings(material: &Material) -> bool {
+    !material.unlit && (material.transmission > 0.0 || (material.metallic > 0.5 && material.roughness < 0.25))
 }
 
 /// A camera that has the whole box in view, whatever the shape of the image down to a square.
@@ -59,7 +81,6 @@ fn framing((low, high): (DVec3, DVec3)) -> CameraPose {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Material;
 
     #[test]
     fn the_box_is_in_view() {
@@ -94,5 +115,39 @@ mod tests {
         let mut lit = Scene { ambient: [0.1; 3], ..Scene::default() };
         add_defaults(&mut lit, bounds);
         assert!(lit.lights.is_empty(), "an ambient light is light enough");
+    }
+
+    #[test]
+    fn mirrors_and_glass_without_lights_get_a_sky() {
+        let mirror = || Material { metallic: 1.0, roughness: 0.2, ..Material::default() };
+        let glass = || Material { transmission: 0.1, ..Material::default() };
+        let with = |scene: Scene| {
+            let mut scene = scene;
+            add_defaults(&mut scene, (DVec3::ZERO, DVec3::ONE));
+            let noted = scene.notes.iter().any(|note| note.starts_with("default environment: "));
+            assert_eq!(noted, scene.environment == SKY);
+            scene.environment
+        };
+        let of = |material| Scene { materials: vec![Material::default(), material], ..Scene::default() };
+        assert_eq!([with(of(mirror())), with(of(glass()))], [SKY, SKY]);
+
+        // Nothing that shows it, or something stated.
+        let dull = [
+            Material { roughness: 0.25, ..mirror() },
+            Material { metallic: 0.5, ..mirror() },
+            Material { unlit: true, ..glass() },
+        ];
+        for material in dull {
+            assert_eq!(with(of(material)), Environment::None);
+        }
+        assert_eq!(with(Scene { ambient: [0.1; 3], ..of(mirror()) }), Environment::None);
+        let mut lit = of(glass());
+        add_defaults(&mut lit, (DVec3::ZERO, DVec3::ONE));
+        assert_eq!(
+            with(Scene { environment: Environment::None, notes: Vec::new(), ..lit }),
+            Environment::None
+        );
+        let stated = Environment::Gradient { zenith: [1.0; 3], horizon: [0.0; 3], nadir: [0.0; 3] };
+        assert_eq!(with(Scene { environment: stated.clone(), ..of(mirror()) }), stated);
     }
 }

@@ -4,8 +4,8 @@
 //! for beside the scene file, then under [`LoadOptions::scenes_folder`]; it may lie anywhere, since the user names the scene file
 //! and the scene file names the source. What a source refers to itself (buffers, images) stays within the source's folder.
 //!
-//! Whatever is loaded ends up with a camera and some light: [`add_defaults`] puts them in where the file states none, and says so in
-//! [`Scene::notes`].
+//! Whatever is loaded ends up with a camera, some light, and a sky if mirrors or glass would have nothing to show: [`add_defaults`]
+//! puts them in where the file states none, and says so in [`Scene::notes`].
 
 mod apply;
 mod defaults;
