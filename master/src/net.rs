@@ -2,8 +2,8 @@
 
 use crate::transport::{Link, Pipes};
 use quinn::{
-    Endpoint, EndpointConfig, IdleTimeout, Incoming, ServerConfig, TransportConfig, VarInt,
-    crypto::rustls::QuicServerConfig,
+    Endpoint, EndpointConfig, IdleTimeout, Incoming, MtuDiscoveryConfig, ServerConfig, TransportConfig,
+    VarInt, crypto::rustls::QuicServerConfig,
 };
 use rcgen::{
     BasicConstraints, CertificateParams, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
@@ -107,7 +107,9 @@ pub(crate) fn listen(authority: &Authority) -> Result<Endpoint, Box<dyn std::err
     }
     let config = authority.server_config()?;
     let runtime = Arc::new(quinn::TokioRuntime);
-    Ok(Endpoint::new(EndpointConfig::default(), Some(config), socket, runtime)?)
+    let mut endpoint = EndpointConfig::default();
+    endpoint.max_udp_payload_size(limits::UDP_PAYLOAD_BYTES)?;
+    Ok(Endpoint::new(endpoint, Some(config), socket, runtime)?)
 }
 
 /// Completes a connection: the certificate that the worker has shown, and the link.
@@ -144,8 +146,11 @@ pub(crate) async fn accept(incoming: Incoming) -> Result<(CertificateDer<'static
 /// QUIC's settings on this side; the numbers and their reasons are in [`limits`]. The worker has the mirror
 /// image.
 fn transport() -> TransportConfig {
+    let mut discovery = MtuDiscoveryConfig::default();
+    discovery.upper_bound(limits::UDP_PAYLOAD_BYTES);
     let mut transport = TransportConfig::default();
     transport
+        .mtu_discovery_config(Some(discovery))
         .max_idle_timeout(IdleTimeout::try_from(limits::IDLE_TIMEOUT).ok())
         .keep_alive_interval(Some(limits::KEEP_ALIVE))
         .max_concurrent_bidi_streams(VarInt::from_u32(1))
@@ -173,6 +178,7 @@ mod tests {
             "receive_window: 16777216",
             "send_window: 16777216",
             "datagram_receive_buffer_size: None",
+            "upper_bound: 8972",
         ] {
             assert!(text.contains(part), "`{part}` is not in {text}");
         }

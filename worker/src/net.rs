@@ -2,8 +2,8 @@
 
 use crate::{WorkerError, WorkerPipes};
 use quinn::{
-    ClientConfig, Connection, Endpoint, IdleTimeout, TransportConfig, VarInt,
-    crypto::rustls::QuicClientConfig,
+    ClientConfig, Connection, Endpoint, EndpointConfig, IdleTimeout, MtuDiscoveryConfig, TransportConfig,
+    VarInt, crypto::rustls::QuicClientConfig,
 };
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer};
 use std::{
@@ -86,7 +86,9 @@ fn endpoint(master: SocketAddr) -> Result<Endpoint, String> {
     let _ = state.set_send_buffer_size((&socket).into(), limits::SOCKET_BUFFER_BYTES);
     let _ = state.set_recv_buffer_size((&socket).into(), limits::SOCKET_BUFFER_BYTES);
     let runtime = Arc::new(quinn::TokioRuntime);
-    Endpoint::new(quinn::EndpointConfig::default(), None, socket, runtime).map_err(|e| e.to_string())
+    let mut config = EndpointConfig::default();
+    config.max_udp_payload_size(limits::UDP_PAYLOAD_BYTES).map_err(|e| e.to_string())?;
+    Endpoint::new(config, None, socket, runtime).map_err(|e| e.to_string())
 }
 
 fn client_config(ticket: &LocalTicket) -> Result<ClientConfig, String> {
@@ -111,8 +113,11 @@ fn client_config(ticket: &LocalTicket) -> Result<ClientConfig, String> {
 /// QUIC's settings on this side; the numbers and their reasons are in [`limits`]. The master has the mirror
 /// image.
 fn transport() -> TransportConfig {
+    let mut discovery = MtuDiscoveryConfig::default();
+    discovery.upper_bound(limits::UDP_PAYLOAD_BYTES);
     let mut transport = TransportConfig::default();
     transport
+        .mtu_discovery_config(Some(discovery))
         .max_idle_timeout(IdleTimeout::try_from(limits::IDLE_TIMEOUT).ok())
         .keep_alive_interval(Some(limits::KEEP_ALIVE))
         .max_concurrent_bidi_streams(VarInt::from_u32(0))
@@ -140,6 +145,7 @@ mod tests {
             "receive_window: 16777216",
             "send_window: 16777216",
             "datagram_receive_buffer_size: None",
+            "upper_bound: 8972",
         ] {
             assert!(text.contains(part), "`{part}` is not in {text}");
         }

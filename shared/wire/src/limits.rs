@@ -71,6 +71,10 @@ pub const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
 /// Wanted kernel buffers of a UDP socket: 32 ms at 1 Gbit/s, so that a busy receiver does not lose packets.
 pub const SOCKET_BUFFER_BYTES: usize = 4 << 20;
 
+/// Largest UDP payload that is taken, and that path discovery tries: Ethernet's jumbo frames less the IP and
+/// UDP headers. Loopback carries it as well; elsewhere discovery stops at what the path carries.
+pub const UDP_PAYLOAD_BYTES: u16 = 9000 - 28;
+
 /// How long either side waits for `Hello`, `Welcome` or `Refuse` on a new connection.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 
