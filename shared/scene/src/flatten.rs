@@ -1,6 +1,6 @@
 //! The node tree turned into one list of world-space triangles.
 
-use crate::import::limits::{FLAT_MAX, NODE_DEPTH_MAX};
+use crate::import::limits::FLAT_MAX;
 use crate::{Primitive, Scene, SceneError};
 use glam::{DMat3, DMat4, DVec3};
 use std::path::PathBuf;
@@ -27,8 +27,8 @@ impl Scene {
     /// normal points to the same side as in the mesh; normals go through the inverse transpose.
     ///
     /// # Errors
-    /// [`SceneError::Invalid`] when the counts exceed [`FLAT_MAX`], the tree is deeper than [`NODE_DEPTH_MAX`] (or has a cycle), or
-    /// an index of the document is out of range.
+    /// [`SceneError::Invalid`] when the counts exceed [`FLAT_MAX`], the tree is deeper than
+    /// [`NODE_DEPTH_MAX`](crate::import::limits::NODE_DEPTH_MAX) (or has a cycle), or an index of the document is out of range.
     pub fn flatten(&self) -> Result<FlatMesh, SceneError> {
         let size = self.flat_size()?;
         let mut flat = FlatMesh::with_room(&size);
@@ -65,27 +65,6 @@ impl Scene {
         })
         .map_err(|what| self.invalid(what))?;
         Ok(size)
-    }
-
-    /// Calls `visit` with every use of a mesh and its transform to world space, nodes depth first in file order.
-    fn walk(&self, mut visit: impl FnMut(usize, &DMat4) -> Result<(), String>) -> Result<(), String> {
-        let mut stack: Vec<(usize, DMat4, usize)> =
-            self.roots.iter().rev().map(|&root| (root, DMat4::IDENTITY, 1)).collect();
-        while let Some((index, to_parent, depth)) = stack.pop() {
-            if depth > NODE_DEPTH_MAX {
-                return Err(format!("node {index} lies deeper than {NODE_DEPTH_MAX} levels, or on a cycle"));
-            }
-            let node = self.nodes.get(index).ok_or_else(|| format!("node {index} does not exist"))?;
-            let to_world = to_parent * node.transform;
-            if let Some(mesh) = node.mesh {
-                if mesh >= self.meshes.len() {
-                    return Err(format!("node {index} names mesh {mesh}, which does not exist"));
-                }
-                visit(mesh, &to_world)?;
-            }
-            stack.extend(node.children.iter().rev().map(|&child| (child, to_world, depth + 1)));
-        }
-        Ok(())
     }
 
     fn invalid(&self, what: String) -> SceneError {
@@ -212,6 +191,7 @@ fn unit_normal(to_normal: &DMat3, normal: [f32; 3]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::import::limits::NODE_DEPTH_MAX;
     use crate::{Material, Mesh, Node};
 
     fn triangle() -> Primitive {

@@ -1,6 +1,6 @@
 //! Scene files: a small TOML document that names a source or a generator and adds cameras, lights and materials.
 //!
-//! `scenes/README.md` describes every key with its unit, range and default; [`schema`] is the same in types. A `source` is looked
+//! `scenes/README.md` describes every key with its unit, range and default; `schema.rs` is the same in types. A `source` is looked
 //! for beside the scene file, then under [`LoadOptions::scenes_folder`]; it may lie anywhere, since the user names the scene file
 //! and the scene file names the source. What a source refers to itself (buffers, images) stays within the source's folder.
 //!
