@@ -379,3 +379,137 @@ fn pack_environment(environment: &tessera_scene::Environment, textures: &mut Tex
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tessera_scene::{Image, Mesh, Node, Primitive};
+
+    /// Two triangles of different materials; both share one image, the second material is glass with a texture of its own.
+    fn scene() -> Scene {
+        let texture = |image, nearest| {
+            let wrap = tessera_scene::Wrap::Repeat;
+            Some(TextureRef { image, wrap_s: wrap, wrap_t: tessera_scene::Wrap::Clamp, nearest })
+        };
+        let positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let part = |triangle, material| Primitive {
+            positions: positions.map(DVec3::from_array).to_vec(),
+            uvs: vec![[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.5, 0.5]],
+            triangles: vec![triangle],
+            material,
+            ..Primitive::default()
+        };
+        let image =
+            |name: &str| Image { name: name.into(), width: 1, height: 1, rgba: vec![10, 20, 30, 255].into() };
+        Scene {
+            name: "test".into(),
+            meshes: vec![Mesh {
+                name: String::new(),
+                primitives: vec![part([0, 1, 2], 0), part([0, 2, 3], 2)],
+            }],
+            nodes: vec![Node {
+                name: String::new(),
+                transform: glam::DMat4::IDENTITY,
+                mesh: Some(0),
+                children: Vec::new(),
+            }],
+            roots: vec![0],
+            materials: vec![
+                tessera_scene::Material { base_texture: texture(0, false), ..Default::default() },
+                tessera_scene::Material { base_texture: texture(2, false), ..Default::default() },
+                tessera_scene::Material {
+                    base_texture: texture(0, false),
+                    emissive_texture: texture(0, true),
+                    emissive: [1.0; 3],
+                    transmission: 0.5,
+                    transmission_texture: texture(1, false),
+                    alpha: AlphaMode::Mask(0.25),
+                    double_sided: false,
+                    ..Default::default()
+                },
+            ],
+            images: vec![image("shared"), image("glass"), image("unused")],
+            cameras: ["north", "south"]
+                .map(|name| {
+                    let pose = CameraPose {
+                        eye: DVec3::new(0.0, 0.0, 5.0),
+                        target: DVec3::ZERO,
+                        up: DVec3::Y,
+                        fov_degrees: 40.0,
+                    };
+                    Camera { name: name.into(), pose }
+                })
+                .to_vec(),
+            ..Scene::default()
+        }
+    }
+
+    fn prepared(without: Without) -> Prepared {
+        let options = PrepareOptions { without, ..PrepareOptions::default() };
+        prepare_scene(scene(), &options, Duration::ZERO).unwrap()
+    }
+
+    #[test]
+    fn only_what_is_used_is_packed_and_only_once() {
+        let prepared = prepared(Without::default());
+        let pack = &prepared.pack;
+        assert_eq!((pack.triangle_count(), pack.materials().len()), (2, 2));
+        // The shared image interpolated, the same not interpolated, and the glass's own.
+        assert_eq!(pack.textures().len(), 3);
+        let [opaque, glass] = [0, 1].map(|m| pack.materials()[m]);
+        assert_eq!(opaque.base_texture, glass.base_texture);
+        assert_ne!(glass.base_texture, glass.emissive_texture);
+        assert_eq!((glass.transmission, glass.alpha_cutoff), (0.5, 0.25));
+        assert_eq!(opaque.flags, MaterialFlags::DOUBLE_SIDED);
+        assert_eq!(glass.flags, MaterialFlags::ALPHA_MASK);
+        assert_eq!(prepared.source.unwrap().images.len(), 3);
+        assert!(prepared.left_out.iter().any(|l| l.what.contains("image")), "{:?}", prepared.left_out);
+    }
+
+    #[test]
+    fn what_is_left_out_is_not_packed() {
+        let refraction = prepared(Without { refraction: true, ..Without::default() });
+        let glass = refraction.pack.materials()[1];
+        assert_eq!((glass.transmission, glass.transmission_texture), (0.0, NO_TEXTURE));
+        assert_eq!(refraction.pack.textures().len(), 2);
+
+        let textures = prepared(Without { textures: true, ..Without::default() });
+        assert!(textures.pack.textures().is_empty() && !textures.pack.mesh().has_uvs());
+        assert_eq!(textures.pack.materials()[1].base_texture, NO_TEXTURE);
+        assert!(textures.left_out.len() > 1, "{:?}", textures.left_out);
+    }
+
+    #[test]
+    fn a_bundle_keeps_its_cameras() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.tpack");
+        let first = prepared(Without::default());
+        std::fs::write(&path, first.pack.bytes()).unwrap();
+        let second = prepare(&path, &PrepareOptions::default()).unwrap();
+        assert_eq!(second.pack.id(), first.pack.id());
+        assert_eq!(second.cameras, first.cameras);
+    }
+
+    #[test]
+    fn cameras_are_found_by_name_or_the_known_ones_are_listed() {
+        let cameras = scene().cameras;
+        assert_eq!(choose_camera(&cameras, None).unwrap().name, "north");
+        assert_eq!(choose_camera(&cameras, Some("south")).unwrap().name, "south");
+        assert_eq!(
+            choose_camera(&cameras, Some("west")).unwrap_err(),
+            "no camera `west` in the scene; there is north, south"
+        );
+        assert!(choose_camera(&[], None).unwrap_err().contains("--eye"));
+    }
+
+    #[test]
+    fn a_scene_of_faulty_triangles_is_refused() {
+        let mut scene = scene();
+        for part in &mut scene.meshes[0].primitives {
+            part.positions.iter_mut().for_each(|p| p.x = f64::NAN);
+        }
+        let error = prepare_scene(scene, &PrepareOptions::default(), Duration::ZERO).err().unwrap();
+        let text = error.to_string();
+        assert!(text.starts_with("test: ") && text.contains("2 vertex_not_finite"), "{text}");
+    }
+}

@@ -314,3 +314,31 @@ fn plural(n: u64, what: &str) -> String {
 fn ms(duration: Duration) -> f64 {
     duration.as_secs_f64() * 1e3
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_for_people() {
+        let cases =
+            [(0, "0 B"), (1023, "1023 B"), (1024, "1.0 KiB"), (1 << 20, "1.00 MiB"), (3 << 29, "1.50 GiB")];
+        for (n, text) in cases {
+            assert_eq!(bytes(n), text);
+        }
+    }
+
+    #[test]
+    fn lists_give_each_thing_a_line() {
+        let left_out = [
+            LeftOutLine { what: "normals".into(), why: "flat".into(), bytes: 2048 },
+            LeftOutLine { what: "shadows".into(), why: "asked".into(), bytes: 0 },
+        ];
+        let mut text = String::new();
+        write_lists(&mut text, &left_out, &["odd".into()], &["default".into()]).unwrap();
+        assert_eq!(
+            text,
+            "left out   normals (2.0 KiB): flat\nleft out   shadows: asked\nwarning    odd\nnote       default\n"
+        );
+    }
+}
