@@ -1,7 +1,7 @@
 //! What a worker holds: versioned, checksummed sections with zero-copy views; its id is the hash of the content.
 //!
 //! [`build_pack`] turns plain arrays ([`PackInput`]) into a [`Pack`]; [`Pack::from_buffer`] checks bytes that came from
-//! elsewhere so thoroughly that no content can make a reader fail. The file is described at [`format`].
+//! elsewhere so thoroughly that no content can make a reader fail. The file is described at [`mod@format`].
 
 pub mod buffer;
 pub mod build;

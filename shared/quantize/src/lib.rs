@@ -2,7 +2,7 @@
 //!
 //! Follows section 3.1 of Seo, Park, Ihm 2022 ("6 + 2 + 4 bytes a vertex"); each module states where it departs from it.
 //!
-//! - [`clean`]: which triangles of an input can be used at all.
+//! - [`mod@clean`]: which triangles of an input can be used at all.
 //! - [`grid`]: cubic cells over the box, as fine as 65,536 vertex-occupied cells allow; positions as cell and offset.
 //! - [`normal`]: the 16-bit normal table of Smith, Petrova, Schaefer 2012.
 //! - [`uv`]: 1 + 15 bits a component, whole-number shifts, vertex splits.
