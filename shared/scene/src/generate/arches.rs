@@ -4,7 +4,7 @@ use super::shapes::Shape;
 use glam::{DVec2, DVec3};
 use std::f64::consts::PI;
 
-/// Where a wall stands: its lower middle point, the way along it and the way its front faces (unit, level, at a right angle).
+/// Where a wall stands: its lower middle point, the way along it (unit, level) and the way its front faces, `along` x up.
 #[derive(Clone, Copy)]
 pub(super) struct Stand {
     pub(super) foot: DVec3,
@@ -79,7 +79,7 @@ impl Opening {
         }
         shape.grid(steps, 1, |i, j| {
             let q = self.arch(i, steps);
-            let depth = if j == 0 { d } else { -d };
+            let depth = if j == 0 { -d } else { d };
             let inward = DVec2::new(-q.x, self.spring - q.y).normalize();
             let normal = stand.along * inward.x + DVec3::Y * inward.y;
             (stand.at(q.x, q.y, depth), normal, DVec2::new(self.half * PI * i as f64 / steps as f64, depth))
@@ -124,7 +124,7 @@ mod tests {
     #[test]
     fn faces_look_where_they_should() {
         let opening = Opening { width: 4.0, height: 3.0, thickness: 0.5, half: 1.0, sill: 0.5, spring: 1.5 };
-        let stand = Stand { foot: DVec3::new(1.0, 2.0, 3.0), along: DVec3::NEG_Z, front: DVec3::NEG_X };
+        let stand = Stand { foot: DVec3::new(1.0, 2.0, 3.0), along: DVec3::NEG_Z, front: DVec3::X };
         let mut shape = Shape::new();
         opening.wall(&mut shape, stand, 16);
         vault(&mut shape, 0.0, 2.0, [1.0, -1.0], [12, 2]);
@@ -133,8 +133,5 @@ mod tests {
             let n = DVec3::from_array(shape.normals[t[0] as usize].map(f64::from));
             assert!((q - p).cross(r - p).dot(n) > 0.0, "{p} {q} {r}");
         }
-        // A point in the wall sees the opening's lining face away from the wall's substance.
-        let mean = shape.positions.iter().sum::<DVec3>() / shape.positions.len() as f64;
-        assert!(mean.is_finite());
     }
 }

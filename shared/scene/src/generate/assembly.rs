@@ -109,6 +109,25 @@ impl Assembly {
         });
     }
 
+    /// A light in a cone of the given inner and outer half angles, in radians; `intensity` in candela.
+    pub(super) fn spot_light(
+        &mut self,
+        name: &str,
+        position: DVec3,
+        direction: DVec3,
+        [inner, outer]: [f32; 2],
+        intensity: [f32; 3],
+    ) {
+        self.scene.lights.push(Light {
+            name: name.to_owned(),
+            kind: LightKind::Spot { inner, outer },
+            position,
+            direction,
+            intensity,
+            range: f32::INFINITY,
+        });
+    }
+
     /// A light at infinity that shines along `direction`, `intensity` in lux.
     pub(super) fn sun(&mut self, direction: [f64; 3], intensity: [f32; 3]) {
         self.scene.lights.push(Light {

@@ -25,7 +25,7 @@ const STOREY: f64 = 3.6;
 /// A block's share of the triangles.
 const BLOCK_TRIANGLES: f64 = 14_000.0;
 /// Share of the triangles that houses get.
-const HOUSES: f64 = 0.86;
+const HOUSES: f64 = 0.72;
 /// Numbers of storeys that there are.
 const HEIGHTS: [usize; 6] = [3, 5, 7, 10, 17, 30];
 
@@ -274,55 +274,42 @@ fn street_life(a: &mut Assembly, paints: &Paints, blocks: usize, recipe: &Recipe
     let lamp = street_lamp(a, paints);
     let [px, pz] = pitch();
     let (w, d) = ((px - STREET) * 0.5, (pz - STREET) * 0.5);
-    // Places along a block's four sides, in a shuffled order, the same for every block.
-    let mut places: Vec<(DVec3, f64)> = Vec::new();
+    // Places along a block's four sides in a shuffled order, the same for every block: where, and the quarter turns that
+    // bring +z to the street.
+    let mut places: Vec<(DVec3, usize)> = Vec::new();
+    let kerb = PAVEMENT - 0.7;
     for k in 0..24 {
         let t = (f64::from(k) + 0.5) / 12.0 - 1.0;
-        for side in [-1.0, 1.0] {
-            places.push((DVec3::new(t * w, 0.15, side * (d + PAVEMENT - 0.7)), side));
-            if k % 2 == 0 {
-                places.push((DVec3::new(side * (w + PAVEMENT - 0.7), 0.15, t * d), 2.0 * side));
-            }
+        places.push((DVec3::new(t * w, 0.15, d + kerb), 0));
+        places.push((DVec3::new(t * w, 0.15, -d - kerb), 2));
+        if k % 2 == 0 {
+            places.push((DVec3::new(w + kerb, 0.15, t * d), 1));
+            places.push((DVec3::new(-w - kerb, 0.15, t * d), 3));
         }
     }
     for k in (1..places.len()).rev() {
         places.swap(k, rng.below(k + 1));
     }
-    let mut at_kerb = |a: &mut Assembly, mesh: MeshId, transform: DMat4| {
-        let fits = a.total().triangles + a.count(mesh).triangles <= target;
-        if fits {
+    let at_kerb = |a: &mut Assembly, mesh: MeshId, transform: DMat4| {
+        if a.total().triangles + a.count(mesh).triangles <= target {
             a.place(mesh, transform);
         }
-        fits
     };
-    for (round, &(place, side)) in places.iter().enumerate() {
+    for (round, &(place, quarters)) in places.iter().enumerate() {
         for j in 0..blocks {
             for i in 0..blocks {
-                let middle = block(i, j, blocks);
-                let out = if side.abs() < 1.5 { DVec3::Z * side } else { DVec3::X * (side * 0.5) };
-                let done = match round % 3 {
+                let at = block(i, j, blocks) + place;
+                match round % 3 {
                     0 => {
                         let size = DVec3::splat(rng.range(0.8, 1.25));
-                        let turn = placed(middle + place, rng.range(0.0, TAU), size);
-                        at_kerb(a, trees[rng.below(3)], turn)
+                        at_kerb(a, trees[rng.below(3)], placed(at, rng.range(0.0, TAU), size));
                     }
                     1 => {
-                        let at = middle + place + out * 1.9 - DVec3::Y * 0.15;
-                        let quarters = if side.abs() < 1.5 { 1 } else { 0 } + 2 * rng.below(2);
-                        at_kerb(a, cars[rng.below(4)], turned(at, quarters))
+                        let street = turned(DVec3::ZERO, quarters).transform_vector3(DVec3::Z);
+                        let at = at + street * 1.9 - DVec3::Y * 0.15;
+                        at_kerb(a, cars[rng.below(4)], turned(at, quarters + 1 + 2 * rng.below(2)));
                     }
-                    _ => {
-                        let quarters = match side {
-                            s if s == 1.0 => 0,
-                            s if s == 2.0 => 1,
-                            s if s == -1.0 => 2,
-                            _ => 3,
-                        };
-                        at_kerb(a, lamp, turned(middle + place, quarters))
-                    }
-                };
-                if !done && round % 3 == 2 {
-                    return;
+                    _ => at_kerb(a, lamp, turned(at, quarters)),
                 }
             }
         }

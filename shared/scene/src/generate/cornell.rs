@@ -50,9 +50,10 @@ pub(super) fn generate(recipe: &Recipe) -> Scene {
     ball.sphere(at(0.42, radius, 0.18), radius, cut.sides, cut.rings);
     a.add("glass ball", [(ball, clear)]);
 
-    // White reflects 0.73 I / (pi d^2): at the floor, d = 1.8, about 0.5.
-    a.point_light("lamp", at(0.0, 1.86, -0.05), [7.5, 7.0, 6.1]);
-    a.scene().ambient = [0.11, 0.11, 0.12];
+    // White reflects 0.73 I / (pi d^2): about 0.4 on the floor and the upper walls. Upwards the lamp's own shade
+    // keeps the light from the ceiling.
+    a.spot_light("lamp", at(0.0, 1.8, -0.05), DVec3::NEG_Y, [0.45, 1.56], [5.4, 5.0, 4.35]);
+    a.scene().ambient = [0.20, 0.20, 0.22];
     a.camera("front", [0.0, 1.0, 3.55], [0.0, 0.96, 0.0], 38.0);
     a.camera("corner", [-0.85, 1.7, 2.6], [0.1, 0.5, -0.2], 42.0);
     a.finish()

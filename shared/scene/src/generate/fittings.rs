@@ -137,9 +137,12 @@ fn shelf(a: &mut Assembly, paints: &Paints, rng: &mut Rng) -> MeshId {
     for board in 0..7 {
         let y = 0.06 + 0.335 * f64::from(board);
         part(&mut wood, [-0.48, y, 0.01], [0.96, 0.02, 0.29]);
+        if board == 6 {
+            continue;
+        }
         let mut x = -0.475;
-        while board < 6 {
-            let thick = rng.range(0.018, 0.055);
+        loop {
+            let thick = rng.range(0.028, 0.085);
             if x + thick > 0.475 {
                 break;
             }
@@ -221,7 +224,7 @@ fn pot(a: &mut Assembly, paints: &Paints, rng: &mut Rng) -> MeshId {
             libm::sin(angle) * libm::cos(lift),
         );
         let foot = DVec3::Y * 0.33;
-        let (tip, side) = (foot + out * rng.range(0.35, 0.7), perpendicular(out) * 0.04);
+        let (tip, side) = (foot + out * rng.range(0.22, 0.42), perpendicular(out) * 0.04);
         let middle = foot.lerp(tip, 0.55);
         leaves.quad(foot, middle - side, tip, middle + side);
     }

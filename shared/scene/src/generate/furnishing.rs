@@ -33,6 +33,7 @@ pub(super) struct Stuff {
     pub(super) lead: usize,
     pub(super) flame: usize,
     pub(super) grass: usize,
+    pub(super) cypress: usize,
     pub(super) panes: [usize; 6],
 }
 
@@ -154,7 +155,7 @@ pub(super) fn chandeliers(a: &mut Assembly, stuff: &Stuff, detail: Detail, back:
             let cup = Profile::from(0.02, 0.04).curve(&[[0.09, 0.07], [0.11, 0.14]], detail.steps(3.0, 1));
             gold.lathe(out, &cup.points, detail.steps(12.0, 4));
             wax.pipe(out + DVec3::Y * 0.06, out + DVec3::Y * 0.32, 0.035, detail.steps(10.0, 3));
-            flame.sphere(out + DVec3::Y * 0.38, 0.045, detail.steps(10.0, 3), detail.steps(8.0, 2));
+            flame.sphere(out + DVec3::Y * 0.39, 0.065, detail.steps(10.0, 3), detail.steps(8.0, 2));
         }
     }
     let chandelier = a.mesh("chandelier", [(gold, stuff.gold), (wax, stuff.stone), (flame, stuff.flame)]);
@@ -263,12 +264,23 @@ fn bent_leaf(shape: &mut Shape, around: f64, lift: f64, length: f64, segments: u
     }
     shape.grid(1, segments, |i, j| {
         let (at, angle) = spine[j];
-        let side = if i == 0 { 1.0 } else { -1.0 };
+        let side = if i == 0 { -1.0 } else { 1.0 };
         let normal = DVec3::Y * libm::cos(angle) - out * libm::sin(angle);
         // The image's foot lies at the stalk.
         let uv = DVec2::new(i as f64, 1.0 - j as f64 / segments as f64);
         (at + across * side, normal, uv)
     });
+}
+
+/// A slender tree, `tall` metres.
+pub(super) fn cypress(shape: &mut Shape, foot: DVec3, tall: f64, detail: Detail) {
+    let profile = Profile::from(0.0, 0.0)
+        .curve(&[[0.09, 0.04], [0.13, 0.22], [0.10, 0.62], [0.0, 1.0]], detail.steps(6.0, 1))
+        .points
+        .into_iter()
+        .map(|p| p * tall)
+        .collect::<Vec<_>>();
+    shape.lathe(foot, &profile, detail.steps(20.0, 4));
 }
 
 /// Cloth that hangs from the arcades.
@@ -300,7 +312,8 @@ pub(super) fn banners(a: &mut Assembly, stuff: &Stuff, detail: Detail, back: f64
     while z > back {
         // Under the crown of every second arch, on both sides, facing the nave's length.
         for x in [-4.0, 4.0] {
-            if k % 2 == 1 {
+            // The first pair would hang across the corners of the picture.
+            if k % 2 == 1 && k > 1 {
                 a.place(meshes[(k / 2) % 2], placed(DVec3::new(x, 6.2, z), 0.0, DVec3::ONE));
             }
         }

@@ -96,7 +96,7 @@ fn build(recipe: &Recipe, detail: Detail, ivy: u64, texels: Option<u32>) -> Asse
     furnishing::plants(&mut a, &stuff, detail, recipe.seed, back);
     furnishing::banners(&mut a, &stuff, detail, back);
     furnishing::ivy(&mut a, &stuff, ivy, recipe.seed, back);
-    outside(&mut a, &stuff, back);
+    outside(&mut a, &stuff, detail, back);
     lights(&mut a);
     a
 }
@@ -146,6 +146,7 @@ fn materials(a: &mut Assembly, seed: u64, texels: Option<u32>) -> Stuff {
         lead: a.material(matte("lead", [0.06, 0.06, 0.07])),
         flame: a.material(glowing("flame", [1.0, 0.86, 0.55])),
         grass: a.material(matte("grass", [0.16, 0.30, 0.07])),
+        cypress: a.material(matte("cypress", [0.05, 0.13, 0.05])),
         panes: [
             [0.95, 0.22, 0.13],
             [0.98, 0.72, 0.16],
@@ -390,12 +391,39 @@ fn floor(a: &mut Assembly, stuff: &Stuff, detail: Detail, back: f64) {
     a.add("floor", [(light, stuff.light), (dark, stuff.dark)]);
 }
 
-/// Lawn before the far window.
-fn outside(a: &mut Assembly, stuff: &Stuff, back: f64) {
+/// A garden before the far window: lawn that rises to hills, and cypresses.
+fn outside(a: &mut Assembly, stuff: &Stuff, detail: Detail, back: f64) {
+    const FAR: f64 = 70.0;
+    let height = |x: f64, away: f64| {
+        let t = away / FAR;
+        let waves = 0.7 + 0.3 * libm::sin(0.11 * x + 0.6) + 0.16 * libm::sin(0.23 * x + 0.05 * away);
+        t * t * 8.5 * waves - 0.05
+    };
+    let at = |x: f64, away: f64| DVec3::new(x, height(x, away), back - 0.5 - away);
     let mut lawn = Shape::new();
-    let p = |x: f64, z: f64| DVec3::new(x, -0.05, back - 0.5 + z);
-    lawn.quad(p(-40.0, 0.0), p(40.0, 0.0), p(40.0, -60.0), p(-40.0, -60.0));
-    a.add("lawn", [(lawn, stuff.grass)]);
+    let (nu, nv) = (detail.steps(36.0, 1), detail.steps(24.0, 1));
+    lawn.grid(nu, nv, |i, j| {
+        let (x, away) = (80.0 * (i as f64 / nu as f64 - 0.5), FAR * j as f64 / nv as f64);
+        let (dx, dz) = (at(x + 0.1, away) - at(x, away), at(x, away + 0.1) - at(x, away));
+        (at(x, away), dx.cross(dz).normalize(), DVec2::ZERO)
+    });
+    let mut trees = Shape::new();
+    if detail.is_full() {
+        let places = [
+            (-3.6, 9.0, 5.2),
+            (3.1, 12.0, 5.8),
+            (-1.7, 26.0, 6.5),
+            (6.0, 30.0, 7.0),
+            (-8.0, 34.0, 7.5),
+            (1.4, 44.0, 6.5),
+            (9.5, 50.0, 7.5),
+            (-5.2, 56.0, 7.0),
+        ];
+        for (x, away, tall) in places {
+            furnishing::cypress(&mut trees, at(x, away), tall, detail);
+        }
+    }
+    a.add("garden", [(lawn, stuff.grass), (trees, stuff.cypress)]);
 }
 
 fn lights(a: &mut Assembly) {
@@ -403,8 +431,8 @@ fn lights(a: &mut Assembly) {
     let scene = a.scene();
     scene.ambient = [0.20, 0.20, 0.23];
     scene.environment = Environment::Gradient {
-        zenith: [0.20, 0.38, 0.78],
-        horizon: [0.78, 0.86, 0.95],
+        zenith: [0.07, 0.20, 0.60],
+        horizon: [0.66, 0.80, 0.93],
         nadir: [0.30, 0.32, 0.28],
     };
     a.camera("nave", [-0.9, 1.7, 5.3], [0.35, 2.75, -8.0], 60.0);

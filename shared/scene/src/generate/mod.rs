@@ -26,6 +26,7 @@ mod row;
 mod shapes;
 mod textures;
 
+use row::Reference;
 pub use row::Row;
 
 use crate::Scene;
@@ -100,10 +101,10 @@ pub fn generate(recipe: &Recipe) -> Result<Scene, OutOfRange> {
         return Err(OutOfRange { asked: recipe.triangles });
     }
     let (mut scene, model) = match recipe.kind {
-        Kind::Cornell => (cornell::generate(recipe), None::<row::Reference>),
+        Kind::Cornell => (cornell::generate(recipe), None::<Reference>),
         Kind::Hall => (hall::generate(recipe), None),
-        Kind::Rooms => (rooms::generate(recipe), Some(row::Reference::SODA_HALL)),
-        Kind::Plant => (plant::generate(recipe), Some(row::Reference::POWER_PLANT)),
+        Kind::Rooms => (rooms::generate(recipe), Some(Reference::SODA_HALL)),
+        Kind::Plant => (plant::generate(recipe), Some(Reference::POWER_PLANT)),
         Kind::City => (city::generate(recipe), None),
     };
     scene.notes.push(format!(

@@ -62,7 +62,7 @@ impl Paints {
             concrete: a.material(matte("concrete", [0.46, 0.45, 0.42])),
             steel: a.material(lacquer("steel", [0.24, 0.33, 0.40], 0.6)),
             grating: a.material(matte("grating", [0.36, 0.36, 0.37])),
-            tank: a.material(lacquer("tank", [0.82, 0.82, 0.80], 0.25)),
+            tank: a.material(lacquer("tank", [0.68, 0.69, 0.68], 0.25)),
             stack: a.material(matte("stack", [0.72, 0.66, 0.60])),
             pipes: [
                 a.material(lacquer("white pipe", [0.78, 0.78, 0.76], 0.35)),

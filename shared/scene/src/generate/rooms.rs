@@ -24,7 +24,7 @@ const CORRIDOR: f64 = 2.2;
 /// Edges of Soda Hall's box relative to the longest.
 const BOX: [f64; 3] = [1.0, 317.0 / 358.0, 203.0 / 358.0];
 /// A room's furniture comes to about so many triangles.
-const ROOM_TRIANGLES: f64 = 4_000.0;
+const ROOM_TRIANGLES: f64 = 5_500.0;
 
 pub(super) fn generate(recipe: &Recipe) -> Scene {
     let plan = Plan::new(recipe.triangles);
@@ -32,6 +32,7 @@ pub(super) fn generate(recipe: &Recipe) -> Scene {
     let paints = paints(&mut a);
     shell(&mut a, &plan, &paints);
     let catalogue = Catalogue::new(&mut a, &paints, recipe.seed);
+    corridors(&mut a, &plan, &catalogue);
     furnish(&mut a, &plan, &catalogue, recipe);
     books(&mut a, &plan, &paints, recipe);
     views(&mut a, &plan);
@@ -287,6 +288,30 @@ fn shell(a: &mut Assembly, plan: &Plan, paints: &Paints) {
     a.add("roof", [(roof, paints.facade)]);
 }
 
+/// Lamps and boards along the corridors, where there are enough triangles for more than walls.
+fn corridors(a: &mut Assembly, plan: &Plan, catalogue: &Catalogue) {
+    if plan.storeys < 3 {
+        return;
+    }
+    let cell = plan.width / plan.columns as f64;
+    for storey in 0..plan.storeys {
+        let floor = storey as f64 * STOREY + SLAB;
+        for index in 0..plan.corridors() {
+            let z = plan.corridor(index);
+            for k in 0..plan.columns {
+                let x = -plan.width * 0.5 + (k as f64 + 0.5) * cell;
+                let lamp = DVec3::new(x, floor + STOREY - 2.0 * SLAB, z);
+                a.place(catalogue.ceiling_lamp, turned(lamp, 0));
+                // Left of the doors of both sides.
+                let half = CORRIDOR * 0.5 - PARTITION;
+                let board = |dx: f64, dz: f64| DVec3::new(x + dx, floor + 1.6, z + dz);
+                a.place(catalogue.picture[k % 2], turned(board(-0.8, half), 2));
+                a.place(catalogue.picture[(k + 1) % 2], turned(board(0.8, -half), 0));
+            }
+        }
+    }
+}
+
 /// Fills every room up to its share.
 fn furnish(a: &mut Assembly, plan: &Plan, catalogue: &Catalogue, recipe: &Recipe) {
     let mut rng = Rng::new(recipe.seed, 10);
@@ -308,47 +333,53 @@ fn furnish(a: &mut Assembly, plan: &Plan, catalogue: &Catalogue, recipe: &Recipe
         let (x, z) = (room.width * 0.5, room.depth * 0.5);
         let at = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
         put(a, catalogue.ceiling_lamp, at(0.0, STOREY - 2.0 * SLAB, 0.0), 0);
+        // A desk at the left wall under a picture, its chair before it; a shelf left of the door.
+        let has_desk = put(a, catalogue.desk, at(-x, 0.0, z * 0.35), 1);
+        put(a, catalogue.chair, at(-x + 1.05, 0.0, z * 0.35 + rng.range(-0.2, 0.2)), 3);
+        // Round things only while faces with vertices of their own are in excess.
+        let corners =
+            [at(-x + 0.45, 0.0, z - 0.45), at(-x + 1.1, 0.0, z - 0.3), at(-x + 0.35, 0.741, z * 0.35 - 0.55)];
+        for (corner, mesh) in corners.into_iter().zip([catalogue.pot, catalogue.floor_lamp, catalogue.globe])
+        {
+            let total = a.total();
+            let wanted = total.vertices as f64 > ratio * total.triangles as f64;
+            if has_desk && wanted && rng.chance(0.8) {
+                put(a, mesh, corner, 0);
+            }
+        }
+        let shelf = |a: &mut Assembly, rng: &mut Rng, place: DVec3, quarters: usize| {
+            put(a, catalogue.shelf[rng.below(catalogue.shelf.len())], place, quarters)
+        };
+        let beside_door = ((room.width * 0.6 - 0.3) / 1.05) as usize;
+        for k in 0..beside_door {
+            shelf(a, &mut rng, at(-x + 0.75 + 1.05 * k as f64, 0.0, -z), 0);
+        }
+        put(a, catalogue.picture[rng.below(2)], at(-x, 1.75, z * 0.3), 1);
+        // A table with chairs in the middle, or a second desk.
+        if rng.chance(0.6) {
+            if put(a, catalogue.table, at(0.25, 0.0, 0.1), 0) {
+                for (dx, dz, quarters) in
+                    [(-0.75, -0.35, 1), (-0.75, 0.4, 1), (0.75, 0.35, 3), (0.75, -0.4, 3)]
+                {
+                    put(a, catalogue.chair, at(0.25 + dx, 0.0, 0.1 + dz), quarters);
+                }
+            }
+        } else {
+            put(a, catalogue.desk, at(-x, 0.0, -z * 0.35), 1);
+            put(a, catalogue.chair, at(-x + 1.1, 0.0, -z * 0.35), 3);
+        }
         if room.window {
             put(a, catalogue.radiator, at(0.0, 0.0, z), 2);
             if rng.chance(0.6) {
                 put(a, catalogue.blind, at(0.0, 2.4, z - 0.05), 2);
             }
         }
-        // A desk at the left wall under a picture, its chair before it.
-        put(a, catalogue.desk, at(-x, 0.0, z * 0.35), 1);
-        put(a, catalogue.chair, at(-x + 1.05, 0.0, z * 0.35 + rng.range(-0.2, 0.2)), 3);
-        put(a, catalogue.picture[rng.below(2)], at(-x, 1.75, -z * 0.3), 1);
         // Shelves along the right wall.
-        let shelves = ((room.depth - 0.4) / 1.05).floor() as usize;
-        for k in 0..shelves {
-            if k < 2 || rng.chance(0.8) {
-                let mesh = catalogue.shelf[rng.below(catalogue.shelf.len())];
-                put(a, mesh, at(x, 0.0, -z + 0.75 + 1.05 * k as f64), 3);
+        for k in 0..((room.depth - 0.8) / 1.05) as usize {
+            if rng.chance(0.8) {
+                shelf(a, &mut rng, at(x, 0.0, z - 0.75 - 1.05 * k as f64), 3);
             }
         }
-        // A table with chairs in the middle, or a second desk.
-        if rng.chance(0.6) {
-            if put(a, catalogue.table, at(0.15, 0.0, 0.1), 0) {
-                for (dx, dz, quarters) in
-                    [(-0.75, -0.35, 1), (-0.75, 0.4, 1), (0.75, 0.35, 3), (0.75, -0.4, 3)]
-                {
-                    put(a, catalogue.chair, at(0.15 + dx, 0.0, 0.1 + dz), quarters);
-                }
-            }
-        } else {
-            put(a, catalogue.desk, at(-x, 0.0, -z * 0.55), 1);
-            put(a, catalogue.chair, at(-x + 1.1, 0.0, -z * 0.55), 3);
-        }
-        // Round things only while faces with vertices of their own are in excess.
-        let corners = [at(-x + 0.4, 0.0, z - 0.4), at(-x + 0.4, 0.0, -z + 0.4), at(0.15, 0.752, 0.1)];
-        for (corner, mesh) in corners.into_iter().zip([catalogue.pot, catalogue.floor_lamp, catalogue.globe])
-        {
-            let total = a.total();
-            if total.vertices as f64 > ratio * total.triangles as f64 && rng.chance(0.8) {
-                put(a, mesh, corner, 0);
-            }
-        }
-        put(a, catalogue.desk, at(-x + 0.05, 0.0, -z * 0.45), 1);
     }
 }
 
@@ -390,9 +421,9 @@ fn books(a: &mut Assembly, plan: &Plan, paints: &Paints, recipe: &Recipe) {
 fn views(a: &mut Assembly, plan: &Plan) {
     let room = plan.room(0, plan.columns / 2);
     let (c, x, z) = (room.centre, room.width * 0.5, room.depth * 0.5);
-    let eye = c + DVec3::new(-x * 0.55, 1.62, z - 0.25);
-    let target = c + DVec3::new(x * 0.35, 0.85, -z * 0.6);
-    a.camera("room", eye.to_array(), target.to_array(), 66.0);
+    let eye = c + DVec3::new(x - 0.55, 1.68, z - 0.2);
+    let target = c + DVec3::new(-x * 0.62, 0.78, -z * 0.62);
+    a.camera("room", eye.to_array(), target.to_array(), 68.0);
     // Two lamps where the cameras are; elsewhere the sun and the sky must do.
     a.point_light("room lamp", c + DVec3::Y * 2.55, [5.2, 4.8, 4.2]);
     if plan.corridors() > 0 {

@@ -225,6 +225,7 @@ impl Shape {
     /// A surface of revolution about the y axis through `base`: `profile` holds (radius, height) from bottom to top, outside to
     /// the right of the way up. Points that occur twice make an edge.
     pub(super) fn lathe(&mut self, base: DVec3, profile: &[DVec2], sides: usize) {
+        let first = self.positions.len();
         let mut start = 0;
         let mut length = 0.0;
         while start + 1 < profile.len() {
@@ -255,7 +256,7 @@ impl Shape {
             });
             start = end + 1;
         }
-        self.drop_collapsed();
+        self.drop_collapsed(first);
     }
 
     /// A sphere with poles on the y axis, its vertices shared, closed by index: `2 * sides * (rings - 1)` triangles.
@@ -286,13 +287,37 @@ impl Shape {
         }
     }
 
-    /// Removes triangles with two equal corners, which poles and apexes leave behind.
-    fn drop_collapsed(&mut self) {
+    /// Removes what poles and apexes leave behind from the vertex `first` on: triangles with two equal corners, and the
+    /// vertices that only they used.
+    fn drop_collapsed(&mut self, first: usize) {
         let positions = &self.positions;
         self.triangles.retain(|t| {
             let [a, b, c] = t.map(|k| positions[k as usize]);
             a != b && b != c && c != a
         });
+        let mut used = vec![false; self.positions.len() - first];
+        for &k in self.triangles.iter().flatten().filter(|&&k| k as usize >= first) {
+            used[k as usize - first] = true;
+        }
+        let mut moved = Vec::with_capacity(used.len());
+        let mut to = first;
+        for (from, used) in (first..).zip(used) {
+            moved.push(to as u32);
+            if used {
+                self.positions[to] = self.positions[from];
+                self.normals[to] = self.normals[from];
+                if self.uv_scale.is_some() {
+                    self.uvs[to] = self.uvs[from];
+                }
+                to += 1;
+            }
+        }
+        self.positions.truncate(to);
+        self.normals.truncate(to);
+        self.uvs.truncate(to);
+        for k in self.triangles.iter_mut().flatten().filter(|k| **k as usize >= first) {
+            *k = moved[*k as usize - first];
+        }
     }
 }
 

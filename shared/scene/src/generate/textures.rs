@@ -23,19 +23,18 @@ pub(super) fn marble(name: &str, size: u32, ground: Color, vein: Color, seed: u6
 
 /// Cut stone in courses of half an image's width, each block a little different.
 pub(super) fn ashlar(name: &str, size: u32, stone: Color, joint: Color, seed: u64) -> Image {
-    masonry(name, size, stone, joint, [2, 4], 0.012, 0.10, seed)
+    masonry(name, size, [stone, joint], [2, 4], 0.012, 0.10, seed)
 }
 
 /// Bricks: four along, twelve up.
 pub(super) fn bricks(name: &str, size: u32, brick: Color, joint: Color, seed: u64) -> Image {
-    masonry(name, size, brick, joint, [4, 12], 0.008, 0.30, seed)
+    masonry(name, size, [brick, joint], [4, 12], 0.008, 0.30, seed)
 }
 
 fn masonry(
     name: &str,
     size: u32,
-    stone: Color,
-    joint: Color,
+    [stone, joint]: [Color; 2],
     [across, up]: [u32; 2],
     gap: f64,
     spread: f64,

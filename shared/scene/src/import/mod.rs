@@ -8,8 +8,17 @@ mod report;
 mod resolve;
 mod texels;
 
-use crate::{Scene, SceneError};
+use crate::{Image, Scene, SceneError};
 use std::path::Path;
+
+/// The image behind `reference`, a plain path in the folder of `source` or below it.
+pub(crate) fn read_image(source: &Path, reference: &str) -> Result<Image, SceneError> {
+    let bytes =
+        resolve::Resolver::new(source)?.read(reference, resolve::Syntax::Path, limits::IMAGE_BYTES_MAX)?;
+    texels::TexelReader::new()
+        .decode(reference, &bytes)
+        .map_err(|e| report::Report::new(source).invalid(format!("image '{}' {e}", report::shown(reference))))
+}
 
 /// Reads a `.glb`, `.gltf`, `.obj` or `.ply` file; the extension decides, in upper or lower case.
 ///

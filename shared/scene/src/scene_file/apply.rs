@@ -6,24 +6,35 @@ use super::schema::{
     Normals, Up,
 };
 use super::{ground, smooth};
+use crate::import;
 use crate::{AlphaMode, Camera, Environment, Light, LightKind, Material, Scene, SceneError};
 use glam::{DMat4, DVec3};
 use std::f32::consts::PI;
 use tessera_geometry::CameraPose;
+use toml::Spanned;
 
-/// Applies everything but the source: first what moves geometry, then what is stated in the scene's own space.
-pub(super) fn apply(scene: &mut Scene, document: Document, faults: &Faults) -> Result<(), SceneError> {
+/// Applies everything but the source: first what moves geometry, then what is stated in the scene's own space. Returns the
+/// box of the source.
+pub(super) fn apply(
+    scene: &mut Scene,
+    document: Document,
+    faults: &Faults,
+) -> Result<(DVec3, DVec3), SceneError> {
     if document.up == Up::Z {
         stand_up(scene);
     }
     if document.normals == Normals::Smooth {
         smooth::smooth(scene);
     }
+    let bounds = super::bounds_of(faults.path, scene)?;
     if let Some(ground) = &document.ground {
-        ground::add(scene, ground.get_ref())
+        ground::add(scene, ground.get_ref(), bounds)
             .map_err(|e| faults.at(Some(ground.span()), &format!("[ground]: {e}")))?;
     }
-    for (name, entry) in &document.material {
+    // What holds for all materials first, whatever the others are called.
+    let (all, named): (Vec<_>, Vec<_>) =
+        document.material.iter().partition(|(name, _)| name.get_ref() == "*");
+    for (name, entry) in all.into_iter().chain(named) {
         let named =
             |e: String| faults.at(Some(name.span()), &format!("[material.\"{}\"]: {e}", name.get_ref()));
         override_materials(scene, name.get_ref(), entry).map_err(named)?;
@@ -40,9 +51,7 @@ pub(super) fn apply(scene: &mut Scene, document: Document, faults: &Faults) -> R
         scene.ambient = colour.map_err(|e| faults.at(Some(ambient.span()), &e))?;
     }
     if let Some(entry) = &document.environment {
-        let environment = environment(scene, entry.get_ref(), faults);
-        scene.environment =
-            environment.map_err(|e| faults.at(Some(entry.span()), &format!("[environment]: {e}")))?;
+        scene.environment = environment(scene, entry, faults)?;
     }
     let mut stated: Vec<Camera> = Vec::new();
     for entry in document.camera {
@@ -53,7 +62,8 @@ pub(super) fn apply(scene: &mut Scene, document: Document, faults: &Faults) -> R
         }
         stated.push(camera(entry.get_ref()).map_err(named)?);
     }
-    order_cameras(scene, stated, document.default_camera, faults)
+    order_cameras(scene, stated, document.default_camera, faults)?;
+    Ok(bounds)
 }
 
 /// Turns a scene whose +z is up: (x, y, z) goes to (x, z, -y).
@@ -83,7 +93,7 @@ fn stand_up(scene: &mut Scene) {
 fn order_cameras(
     scene: &mut Scene,
     mut stated: Vec<Camera>,
-    default: Option<toml::Spanned<String>>,
+    default: Option<Spanned<String>>,
     faults: &Faults,
 ) -> Result<(), SceneError> {
     scene.cameras.retain(|c| !stated.iter().any(|s| s.name == c.name));
@@ -173,25 +183,35 @@ fn light(entry: &LightEntry) -> Result<Light, String> {
     Ok(Light { name: String::new(), kind, position, direction, intensity, range })
 }
 
-fn environment(scene: &mut Scene, entry: &EnvironmentEntry, faults: &Faults) -> Result<Environment, String> {
-    let gradient = [entry.zenith, entry.horizon, entry.nadir];
-    match (&entry.image, gradient) {
-        (Some(_), [None, None, None]) => {
-            let _ = (scene, faults);
-            Err("image is not supported yet".to_owned())
+fn environment(
+    scene: &mut Scene,
+    entry: &Spanned<EnvironmentEntry>,
+    faults: &Faults,
+) -> Result<Environment, SceneError> {
+    let wrong = |what: &str| faults.at(Some(entry.span()), &format!("[environment]: {what}"));
+    let entry = entry.get_ref();
+    match (&entry.image, [entry.zenith, entry.horizon, entry.nadir]) {
+        (Some(image), [None, None, None]) => {
+            let scale = entry.scale.unwrap_or(1.0);
+            if !(scale.is_finite() && scale >= 0.0) {
+                return Err(wrong("scale must be 0 or more"));
+            }
+            scene.images.push(import::read_image(faults.path, image)?);
+            Ok(Environment::Map { image: scene.images.len() - 1, scale })
         }
-        (Some(_), _) => Err("either image or zenith, horizon and nadir".to_owned()),
+        (Some(_), _) => Err(wrong("either image or zenith, horizon and nadir")),
         (None, [Some(zenith), Some(horizon), Some(nadir)]) => {
             if entry.scale.is_some() {
-                return Err("scale belongs to an image".to_owned());
+                return Err(wrong("scale belongs to an image"));
             }
+            let part = |key: &str, value| colour(key, value, f32::MAX).map_err(|e| wrong(&e));
             Ok(Environment::Gradient {
-                zenith: colour("zenith", zenith, f32::MAX)?,
-                horizon: colour("horizon", horizon, f32::MAX)?,
-                nadir: colour("nadir", nadir, f32::MAX)?,
+                zenith: part("zenith", zenith)?,
+                horizon: part("horizon", horizon)?,
+                nadir: part("nadir", nadir)?,
             })
         }
-        (None, _) => Err("needs zenith, horizon and nadir, or an image".to_owned()),
+        (None, _) => Err(wrong("needs zenith, horizon and nadir, or an image")),
     }
 }
 

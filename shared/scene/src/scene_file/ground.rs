@@ -9,11 +9,8 @@ const SIZE_FACTOR: f64 = 6.0;
 /// sRGB codes of the two squares of the checker.
 const CHECKER: [[u8; 4]; 2] = [[214, 209, 200, 255], [122, 118, 112, 255]];
 
-/// Adds the square with a material named `ground`. Fails with what is wrong.
-pub(super) fn add(scene: &mut Scene, ground: &Ground) -> Result<(), String> {
-    let Some((low, high)) = scene.bounds() else {
-        return Ok(());
-    };
+/// Adds the square, with a material named `ground`, to a scene of this box. Fails with what is wrong.
+pub(super) fn add(scene: &mut Scene, ground: &Ground, (low, high): (DVec3, DVec3)) -> Result<(), String> {
     let middle = low + (high - low) * 0.5;
     let height = ground.height.unwrap_or(low.y);
     let size = ground.size.unwrap_or(SIZE_FACTOR * (high.x - low.x).max(high.z - low.z));

@@ -16,6 +16,7 @@ mod smooth;
 pub use defaults::add_defaults;
 
 use crate::{Scene, SceneError, generate, import};
+use glam::DVec3;
 use schema::Document;
 use std::path::{Path, PathBuf};
 
@@ -43,13 +44,12 @@ const FILE_BYTES_MAX: u64 = 1 << 20;
 /// Fails when a file cannot be read, is malformed, or leaves nothing to render.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
     let is_scene_file = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
-    let mut scene = if is_scene_file {
-        let text = read_text(path)?;
-        read_document(path, &text, options)?
-    } else {
-        import::import(path)?
-    };
-    finish(path, &mut scene)?;
+    if is_scene_file {
+        return read_document(path, &read_text(path)?, options);
+    }
+    let mut scene = import::import(path)?;
+    let bounds = bounds_of(path, &scene)?;
+    add_defaults(&mut scene, bounds);
     Ok(scene)
 }
 
@@ -63,9 +63,7 @@ pub fn builtin(name: &str) -> Result<Scene, SceneError> {
             what: format!("no such scene; there are {}", names.join(", ")),
         });
     };
-    let mut scene = read_document(&path, text, &LoadOptions::default())?;
-    finish(&path, &mut scene)?;
-    Ok(scene)
+    read_document(&path, text, &LoadOptions::default())
 }
 
 /// Names that [`builtin`] knows.
@@ -73,7 +71,7 @@ pub fn builtin_names() -> impl Iterator<Item = &'static str> {
     BUILT_IN.iter().map(|(name, _)| *name)
 }
 
-/// The scene that a scene file describes, before defaults.
+/// The scene that a scene file describes.
 fn read_document(path: &Path, text: &str, options: &LoadOptions) -> Result<Scene, SceneError> {
     let faults = Faults { path, text };
     let document: Document = toml::from_str(text).map_err(|e| faults.at(e.span(), e.message().trim()))?;
@@ -93,18 +91,18 @@ fn read_document(path: &Path, text: &str, options: &LoadOptions) -> Result<Scene
             return Err(faults.at(None, "neither `source` nor [generate]; name a file or a generator"));
         }
     };
-    apply::apply(&mut scene, document, &faults)?;
+    // A default camera frames what the source shows, not the ground under it.
+    let bounds = apply::apply(&mut scene, document, &faults)?;
+    add_defaults(&mut scene, bounds);
     Ok(scene)
 }
 
-/// Refuses an empty scene and adds what is not stated.
-fn finish(path: &Path, scene: &mut Scene) -> Result<(), SceneError> {
-    let Some(bounds) = scene.bounds() else {
-        let what = "no triangles; export the scene with its meshes".to_owned();
-        return Err(SceneError::Invalid { path: path.to_owned(), what });
-    };
-    add_defaults(scene, bounds);
-    Ok(())
+/// The scene's box; an empty scene is refused.
+fn bounds_of(path: &Path, scene: &Scene) -> Result<(DVec3, DVec3), SceneError> {
+    scene.bounds().ok_or_else(|| {
+        let what = "no triangle with finite corners; export the scene with its meshes".to_owned();
+        SceneError::Invalid { path: path.to_owned(), what }
+    })
 }
 
 /// The file that `source` means: beside the scene file, or else under the scenes folder.
