@@ -25,6 +25,8 @@ const BAY: f64 = 8.0;
 const FRAME: DVec3 = DVec3::new(60.0, 0.0, -24.0);
 /// Its bays along x and z, its levels.
 const FRAME_BAYS: [usize; 3] = [6, 9, 6];
+/// Height above a slot's floor that pipes keep, so that none lies under the ground.
+const FLOOR: f64 = 0.8;
 /// Sides of the pipes that make up the last triangles.
 const LAST_SIDES: u64 = 4;
 
@@ -205,7 +207,7 @@ fn modules(a: &mut Assembly, paints: &Paints, recipe: &Recipe) {
         });
         let Some(slot) = slot else { continue };
         // Never the same place twice: two modules that coincide would hide each other.
-        let shift = DVec3::new(rng.range(-1.2, 1.2), rng.range(-0.35, 0.35), rng.range(-1.2, 1.2));
+        let shift = DVec3::new(rng.range(-1.2, 1.2), rng.range(0.0, 0.5), rng.range(-1.2, 1.2));
         a.place(mesh, turned(slot.at + shift, rng.below(4)));
     }
 }
@@ -263,19 +265,19 @@ fn pipe_module(a: &mut Assembly, paints: &Paints, rng: &mut Rng, kind: usize, si
             while (made as f64) < size {
                 let radius = 0.05 + 0.35 * rng.unit() * rng.unit();
                 let sides = 5 + rng.below(10);
-                let (y, z) = (rng.range(-h, h), rng.range(-h, h));
+                let (y, z) = (rng.range(FLOOR - h, h), rng.range(-h, h));
                 let shape = &mut parts[(color + rng.below(2)) % 5];
                 let before = shape.triangles.len();
-                if size > 400.0 && rng.chance(0.4) {
-                    let x = rng.range(-h * 0.6, h * 0.6);
-                    let to = if rng.chance(0.5) { DVec3::Y } else { DVec3::NEG_Z };
-                    let bend = radius * 2.5;
+                let x = rng.range(-h * 0.6, h * 0.6);
+                let (to, room) = if rng.chance(0.5) { (DVec3::Y, h - y) } else { (DVec3::NEG_Z, z + h) };
+                let bend = radius * 2.5;
+                if size > 400.0 && rng.chance(0.4) && room > bend + 0.5 {
                     let centre = DVec3::new(x, y, z) + to * bend;
                     shape.pipe(DVec3::new(-h, y, z), DVec3::new(x, y, z), radius, sides);
                     let arc: Vec<DVec3> = quarter(centre, -to, DVec3::X, bend, 3).collect();
                     shape.tube(&arc, radius, sides);
                     let end = DVec3::new(x + bend, y, z) + to * bend;
-                    shape.pipe(end, end + to * rng.range(0.5, 4.0), radius, sides);
+                    shape.pipe(end, end + to * rng.range(0.4, room - bend), radius, sides);
                 } else {
                     shape.pipe(DVec3::new(-h, y, z), DVec3::new(h, y, z), radius, sides);
                 }
@@ -300,7 +302,7 @@ fn pipe_module(a: &mut Assembly, paints: &Paints, rng: &mut Rng, kind: usize, si
         _ => {
             let mut made = 0;
             while (made as f64) < size {
-                let mut point = || DVec3::new(rng.range(-h, h), rng.range(-h, h), rng.range(-h, h));
+                let mut point = || DVec3::new(rng.range(-h, h), rng.range(FLOOR - h, h), rng.range(-h, h));
                 let (from, to) = (point(), point());
                 if (to - from).length() < 1.0 {
                     continue;
