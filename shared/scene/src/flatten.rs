@@ -80,6 +80,11 @@ impl Scene {
                 "a primitive has vertex arrays of lengths {lengths:?} for {count} positions"
             ));
         }
+        if let Some(index) =
+            primitive.triangles.as_flattened().iter().max().filter(|&&index| index as usize >= count)
+        {
+            return Err(format!("a primitive names vertex {index}, but has {count}"));
+        }
         if !primitive.triangles.is_empty() && primitive.material >= self.materials.len() {
             return Err(format!("a primitive names material {}, which does not exist", primitive.material));
         }
@@ -141,7 +146,6 @@ impl FlatMesh {
         let first_vertex = self.positions.len() as u32;
         let first_triangle = self.triangles.len() as u32;
         let material = primitive.material as u32;
-        let count = primitive.positions.len();
         let (to_normal, is_mirrored) = normal_matrix(to_world);
 
         self.positions.extend(primitive.positions.iter().map(|&p| to_world.transform_point3(p).to_array()));
@@ -159,7 +163,6 @@ impl FlatMesh {
         }
         let turn = |[a, b, c]: [u32; 3]| if is_mirrored { [a, c, b] } else { [a, b, c] };
         let shift = |triangle: &[u32; 3]| turn(*triangle).map(|index| first_vertex + index);
-        debug_assert!(primitive.triangles.as_flattened().iter().all(|&index| (index as usize) < count));
         self.triangles.extend(primitive.triangles.iter().map(shift));
         if self.material_runs.last().is_none_or(|&(_, last)| last != material) {
             self.material_runs.push((first_triangle, material));
@@ -305,5 +308,9 @@ mod tests {
         let mut broken = scene(&[DMat4::IDENTITY]);
         broken.meshes[0].primitives[0].material = 7;
         assert!(broken.flatten().unwrap_err().to_string().contains("material 7"));
+
+        let mut broken = scene(&[DMat4::IDENTITY]);
+        broken.meshes[0].primitives[0].triangles.push([0, 3, 1]);
+        assert!(broken.flatten().unwrap_err().to_string().contains("vertex 3, but has 3"));
     }
 }

@@ -8,6 +8,8 @@ mod report;
 mod resolve;
 mod texels;
 
+pub(crate) use resolve::read_file;
+
 use crate::{Image, Scene, SceneError};
 use std::path::Path;
 

@@ -292,7 +292,9 @@ fn read_body(bytes: &[u8], header: &Header, report: &mut Report) -> Result<Primi
     let mut body = Body { bytes: &bytes[header.bytes..], encoding: header.encoding, line: header.lines + 1 };
     for (index, element) in header.elements.iter().enumerate() {
         let bytes_min = element.bytes_min(header.encoding);
-        if bytes_min == 0 {
+        // Without properties there is nothing to read, however many there are. Of vertices and faces that is a fault: triangles
+        // count on the vertices that the header claims.
+        if bytes_min == 0 && !matches!(element.name.as_str(), "vertex" | "face") {
             continue;
         }
         if element.count.checked_mul(bytes_min).is_none_or(|need| need > body.bytes.len() as u64 + 1) {

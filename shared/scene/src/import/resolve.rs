@@ -123,14 +123,14 @@ pub(crate) fn read_source(path: &Path) -> Result<Vec<u8>, SceneError> {
 }
 
 /// Reads a regular file of at most `bytes_max` bytes. A pipe or a device could block for ever or never end.
-fn read_file(path: &Path, bytes_max: u64) -> Result<Vec<u8>, SceneError> {
+pub(crate) fn read_file(path: &Path, bytes_max: u64) -> Result<Vec<u8>, SceneError> {
     let unreadable = |source| SceneError::Read { path: path.to_owned(), source };
     let invalid = |what: String| SceneError::Invalid { path: path.to_owned(), what };
     // Before opening: opening a pipe without a writer blocks.
     let metadata = std::fs::metadata(path).map_err(unreadable)?;
     if !metadata.is_file() {
         let what = if metadata.is_dir() { "a folder" } else { "not a regular file" };
-        return Err(invalid(format!("is {what}; name a scene file")));
+        return Err(invalid(format!("is {what}; name a file")));
     }
     let too_long =
         |bytes: u64| invalid(format!("has {bytes} bytes, more than the {bytes_max} that are allowed here"));
@@ -166,13 +166,19 @@ fn data_uri(reference: &str) -> Option<&str> {
 fn decode_data_uri(data: &str, bytes_max: u64) -> Result<Vec<u8>, String> {
     let (head, body) = data.split_once(',').ok_or("has no comma")?;
     let is_base64 = head.rsplit(';').next().is_some_and(|last| last.trim().eq_ignore_ascii_case("base64"));
-    let bytes_at_most = if is_base64 { body.len() as u64 / 4 * 3 + 3 } else { body.len() as u64 };
-    if bytes_at_most > bytes_max.saturating_add(3) {
+    // Of four base64 characters at most the last two are padding; three characters code a byte in percents.
+    let bytes_at_least =
+        if is_base64 { (body.len() as u64 / 4 * 3).saturating_sub(2) } else { body.len() as u64 / 3 };
+    if bytes_at_least > bytes_max {
         return Err(format!(
-            "holds up to {bytes_at_most} bytes, more than the {bytes_max} that are allowed here"
+            "holds {bytes_at_least} bytes or more, more than the {bytes_max} that are allowed here"
         ));
     }
-    if is_base64 { decode_base64(body.as_bytes()) } else { percent_decode(body.as_bytes()) }
+    let bytes = if is_base64 { decode_base64(body.as_bytes()) } else { percent_decode(body.as_bytes()) }?;
+    if bytes.len() as u64 > bytes_max {
+        return Err(format!("holds {} bytes, more than the {bytes_max} that are allowed here", bytes.len()));
+    }
+    Ok(bytes)
 }
 
 /// Decodes base64 (RFC 4648, section 4); the padding may be missing.
@@ -333,6 +339,12 @@ mod tests {
         resolver.read("a%20b.bin", Syntax::Uri, 1000).unwrap();
         let error = resolver.read("a%20b.bin", Syntax::Uri, 1000).unwrap_err().to_string();
         assert!(error.contains("more than the 2"), "{error}");
+        resolver.read("data:;base64,aGk=", Syntax::Uri, 1000).unwrap();
+        for uri in ["data:;base64,aA==", "data:;base64,aA", "data:,a", "data:,abc"] {
+            let error = resolver.read(uri, Syntax::Uri, 1000).unwrap_err().to_string();
+            assert!(error.contains("more than the 0"), "{error}");
+        }
+        resolver.read("data:,", Syntax::Uri, 1000).unwrap();
     }
 
     proptest::proptest! {

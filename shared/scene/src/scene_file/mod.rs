@@ -134,13 +134,11 @@ fn find_source(
 
 /// The text of a scene file.
 fn read_text(path: &Path) -> Result<String, SceneError> {
-    let failed = |source| SceneError::Read { path: path.to_owned(), source };
-    let bytes = std::fs::metadata(path).map_err(failed)?.len();
-    if bytes > FILE_BYTES_MAX {
-        let what = format!("{bytes} bytes, more than the {FILE_BYTES_MAX} that a scene file may have");
-        return Err(SceneError::Invalid { path: path.to_owned(), what });
-    }
-    std::fs::read_to_string(path).map_err(failed)
+    let bytes = import::read_file(path, FILE_BYTES_MAX)?;
+    String::from_utf8(bytes).map_err(|_| SceneError::Invalid {
+        path: path.to_owned(),
+        what: "is not UTF-8 text; save it as UTF-8".to_owned(),
+    })
 }
 
 /// Makes errors that say where in the file they lie.

@@ -147,7 +147,18 @@ fn sources_are_found_beside_the_file_or_in_the_folder() {
     let error = load(&at("files/none.toml"), &store).unwrap_err().to_string();
     assert!(error.contains("none.toml"), "{error}");
     fs::write(at("files/bytes.toml"), [0xff, 0xfe, 0x00]).unwrap();
-    assert!(load(&at("files/bytes.toml"), &store).is_err());
+    let error = load(&at("files/bytes.toml"), &store).unwrap_err().to_string();
+    assert!(error.contains("UTF-8"), "{error}");
+    fs::create_dir(at("files/folder.toml")).unwrap();
+    let error = load(&at("files/folder.toml"), &store).unwrap_err().to_string();
+    assert!(error.contains("is a folder"), "{error}");
+    #[cfg(unix)]
+    {
+        // A file without end.
+        std::os::unix::fs::symlink("/dev/zero", at("files/zero.toml")).unwrap();
+        let error = load(&at("files/zero.toml"), &store).unwrap_err().to_string();
+        assert!(error.contains("not a regular file"), "{error}");
+    }
 }
 
 #[test]
@@ -182,7 +193,7 @@ fn every_scene_file_parses_and_loads_when_its_source_is_at_hand() {
             skipped(&path, "its source is not at hand");
             continue;
         }
-        // Decoding 223 images and going through nine million triangles is for the benches.
+        // 223 images and nine million triangles take too long in a test's profile.
         if path.ends_with("san_miguel.toml") {
             skipped(&path, "large");
             continue;

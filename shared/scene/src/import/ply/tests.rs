@@ -126,3 +126,17 @@ fn a_million_empty_elements_cost_nothing() {
     let ply = ASCII.replace("element face", "element air 18446744073709551615\nelement face");
     check(&import_bytes(ply.as_bytes()).unwrap());
 }
+
+#[test]
+fn vertices_without_properties_are_not_passed_over() {
+    let empty = ASCII.replace("element vertex 5", "element vertex 3\nelement vertex 5");
+    for ply in [empty.clone(), empty.replace("element vertex 5\n", "element vertex 5\nelement vertex 9\n")] {
+        let error = import_bytes(ply.as_bytes()).unwrap_err();
+        assert!(error.contains("the vertices have no x, y and z"), "{error}");
+    }
+    let nothing_else = "ply\nformat ascii 1.0\nelement vertex 3\nelement face 1\nproperty list uchar int vertex_indices\n\
+        end_header\n3 0 1 2\n";
+    assert!(import_bytes(nothing_else.as_bytes()).unwrap_err().contains("no x, y and z"));
+    let faces = ASCII.replace("element face 3", "element face 9\nelement face 3");
+    assert!(import_bytes(faces.as_bytes()).unwrap_err().contains("no list 'vertex_indices'"));
+}
