@@ -263,7 +263,7 @@ impl Textures<'_> {
                 name: image.name.clone(),
                 width: image.width,
                 height: image.height,
-                rgba: image.rgba.to_vec(),
+                rgba: image.rgba.clone(),
                 wrap_s: pack_wrap(texture.wrap_s),
                 wrap_t: pack_wrap(texture.wrap_t),
                 nearest: texture.nearest,

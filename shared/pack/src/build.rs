@@ -1,6 +1,6 @@
 //! From plain arrays to a pack.
 
-use crate::check::check_input;
+use crate::check::{check_input, distinct_texels};
 use crate::error::BuildError;
 use crate::format::{Head, Section, assemble};
 use crate::input::{ImageInput, PackInput};
@@ -9,6 +9,7 @@ use crate::records::{EnvironmentKind, Light, Texture};
 use crate::sections::Sections;
 use crate::view::{MeshView, Pack};
 use rayon::prelude::*;
+use std::collections::HashMap;
 use tessera_geometry::{DVec3, LocalFrame};
 use tessera_kdtree::{BuildOptions, Triangles, build::TreeStats};
 use tessera_quantize::Grid;
@@ -152,7 +153,7 @@ pub fn build_pack(mut input: PackInput, options: &PackOptions) -> Result<(Pack, 
     sections.slots = tree.slots;
     sections.list = tree.list;
     sections.head = vec![head];
-    (sections.textures, sections.texels) = lay_texels(textures)?;
+    (sections.textures, sections.texels) = lay_texels(&textures)?;
 
     let all: Vec<_> = Section::ALL.iter().map(|&s| (s, sections.bytes(s))).collect();
     let bytes = all.iter().map(|(_, b)| b.len() as u64).sum();
@@ -230,20 +231,26 @@ fn place_lights(lights: &mut [Light], positions: &[[f64; 3]], frame: &LocalFrame
     Ok(())
 }
 
-/// Lays all images into one run of texels.
-fn lay_texels(textures: Vec<ImageInput>) -> Result<(Vec<Texture>, Vec<u32>), BuildError> {
-    let total: u64 = textures.iter().map(|t| u64::from(t.width) * u64::from(t.height)).sum();
+/// Lays all images into one run of texels, each once.
+fn lay_texels(textures: &[ImageInput]) -> Result<(Vec<Texture>, Vec<u32>), BuildError> {
+    let total = distinct_texels(textures);
     let mut texels = Vec::new();
+    let mut laid: HashMap<*const [u8], u32> = HashMap::new();
     texels.try_reserve_exact(total as usize).map_err(|_| BuildError::OutOfMemory(total * 4))?;
     let mut records = Vec::with_capacity(textures.len());
     for t in textures {
+        // Below 2^32: the input was checked.
+        let next = texels.len() as u32;
+        let first_texel = *laid.entry(t.identity()).or_insert(next);
+        if first_texel == next {
+            texels.extend(t.rgba.chunks_exact(4).map(|c| u32::from_le_bytes([c[0], c[1], c[2], c[3]])));
+        }
         records.push(Texture {
-            first_texel: texels.len() as u32,
+            first_texel,
             width: t.width,
             height: t.height,
             sampling: t.wrap_s as u32 | (t.wrap_t as u32) << 2 | u32::from(t.nearest) << 4,
         });
-        texels.extend(t.rgba.chunks_exact(4).map(|c| u32::from_le_bytes([c[0], c[1], c[2], c[3]])));
     }
     Ok((records, texels))
 }

@@ -1,12 +1,13 @@
 //! Checks on the arrays from which a pack is to be made.
 
 use crate::error::BuildError;
-use crate::input::PackInput;
+use crate::input::{ImageInput, PackInput};
 use crate::records::{NO_TEXTURE, Texture};
 use crate::rules::{
     MAX_TEXTURE_SIDE, ambient_fault, camera_fault, environment_fault, light_fault, material_fault,
     texture_fault,
 };
+use std::collections::HashSet;
 
 /// Checks everything that packing relies on; faults of single triangles and vertices are not errors, they are dropped and
 /// counted.
@@ -76,8 +77,13 @@ fn check_runs(input: &PackInput) -> Result<(), BuildError> {
     }
 }
 
+/// Texels of all images, those of images that share them counted once.
+pub(crate) fn distinct_texels(textures: &[ImageInput]) -> u64 {
+    let mut seen = HashSet::new();
+    textures.iter().filter(|t| seen.insert(t.identity())).map(|t| t.rgba.len() as u64 / 4).sum()
+}
+
 fn check_textures(input: &PackInput) -> Result<(), BuildError> {
-    let mut texels = 0u64;
     for (i, t) in input.textures.iter().enumerate() {
         let name = &t.name;
         let size = u64::from(t.width) * u64::from(t.height);
@@ -96,8 +102,8 @@ fn check_textures(input: &PackInput) -> Result<(), BuildError> {
                 t.height
             ));
         }
-        texels += size;
     }
+    let texels = distinct_texels(&input.textures);
     if texels >= u64::from(NO_TEXTURE) {
         return fail(format!(
             "the textures have {texels} texels; at most 4,294,967,294 fit a pack: make them smaller"

@@ -1,6 +1,7 @@
 //! Plain arrays from which a pack is made.
 
 use crate::records::{Ambient, Camera, Environment, Light, Material, Wrap};
+use std::sync::Arc;
 
 /// A flattened scene: world-space triangles and everything they refer to.
 ///
@@ -45,12 +46,20 @@ pub struct ImageInput {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// `width * height * 4` bytes, row 0 on top.
-    pub rgba: Vec<u8>,
+    /// `width * height * 4` bytes, row 0 on top. Images that share them (the same `Arc`, as when one picture is sampled in several
+    /// ways) share their texels in the pack.
+    pub rgba: Arc<[u8]>,
     /// Behaviour outside [0, 1) along s.
     pub wrap_s: Wrap,
     /// Behaviour outside [0, 1) along t.
     pub wrap_t: Wrap,
     /// Whether texels are taken as they are instead of interpolated (glTF's NEAREST).
     pub nearest: bool,
+}
+
+impl ImageInput {
+    /// Equal for images that share their texels, different for others that live at the same time.
+    pub(crate) fn identity(&self) -> *const [u8] {
+        Arc::as_ptr(&self.rgba)
+    }
 }

@@ -2,7 +2,7 @@
 
 use crate::support::everything;
 use tessera_geometry::DVec3;
-use tessera_pack::{NO_TEXTURE, Pack, PackInput, PackOptions, Plain, build_pack};
+use tessera_pack::{ImageInput, NO_TEXTURE, Pack, PackInput, PackOptions, Plain, Wrap, build_pack};
 
 const SIDE: u32 = 24;
 
@@ -109,7 +109,7 @@ fn everything_else_is_kept_as_it_was() {
     assert_eq!(pack.environment(), input.environment);
     for (texture, image) in pack.textures().iter().zip(&input.textures) {
         let texels = &pack.texels()[texture.first_texel as usize..][..image.rgba.len() / 4];
-        assert_eq!(bytemuck::cast_slice::<u32, u8>(texels), image.rgba);
+        assert_eq!(bytemuck::cast_slice::<u32, u8>(texels), &*image.rgba);
         assert_eq!((texture.width, texture.height), (image.width, image.height));
         assert_eq!(texture.sampling, image.wrap_s as u32 | (image.wrap_t as u32) << 2);
     }
@@ -134,4 +134,19 @@ fn the_bytes_do_not_depend_on_the_number_of_threads() {
     let ((one, one_stats), (four, four_stats)) = (with_threads(1), with_threads(4));
     assert!(one.bytes() == four.bytes());
     assert_eq!(one_stats, four_stats);
+}
+
+#[test]
+fn one_picture_sampled_in_two_ways_is_held_once() {
+    let mut input = everything(SIDE);
+    let other = ImageInput { wrap_s: Wrap::Clamp, nearest: true, ..input.textures[0].clone() };
+    // The same texels again, but a picture of its own.
+    let copy = ImageInput { rgba: input.textures[0].rgba.to_vec().into(), ..other.clone() };
+    input.textures.extend([other, copy]);
+    let (pack, _) = build_pack(input, &PackOptions::default()).expect("a sound scene");
+    let places: Vec<u32> = pack.textures().iter().map(|t| t.first_texel).collect();
+    assert_eq!(places, [0, 8, 0, 23]);
+    assert_eq!(pack.texels().len(), 8 + 15 + 8);
+    assert_eq!(pack.textures()[2].sampling, Wrap::Clamp as u32 | 1 << 4);
+    assert_eq!(Pack::from_bytes(pack.bytes()).map(|p| p.id()), Ok(pack.id()));
 }

@@ -198,7 +198,7 @@ fn a_mask_texture_cuts_holes_for_eyes_and_shadows() {
     stage.input.textures = vec![ImageInput {
         width: 2,
         height: 1,
-        rgba: vec![255, 255, 255, 255, 255, 255, 255, 0],
+        rgba: [255, 255, 255, 255, 255, 255, 255, 0].into(),
         nearest: true,
         ..ImageInput::default()
     }];

@@ -165,7 +165,7 @@ pub fn ruler() -> ImageInput {
         name: "ruler".into(),
         width: 2,
         height: 1,
-        rgba: vec![0, 255, 0, 255, 255, 255, 0, 255],
+        rgba: [0, 255, 0, 255, 255, 255, 0, 255].into(),
         ..ImageInput::default()
     }
 }
