@@ -77,10 +77,29 @@ fn a_bundle_renders_like_its_source() {
     }
 }
 
+#[test]
+fn workers_log_as_their_master_does() {
+    let folder = packed_box();
+    let run = |args: &str| render(&folder, &format!("--size 64x64 --workers 2 {args}")).run();
+    let is_of_worker = |target: &str| target.starts_with("tessera_worker");
+    let outcome = run("-v --log-format json");
+    let lines: Vec<Value> = outcome
+        .stderr
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{line:?} is no JSON: {e}")))
+        .collect();
+    let of_workers = lines.iter().filter(|line| line["target"].as_str().is_some_and(is_of_worker));
+    assert_eq!(of_workers.count(), 2, "{outcome:?}");
+    let outcome = run("-v");
+    assert_eq!(outcome.stderr.matches("is connected to").count(), 2, "{outcome:?}");
+    // `json` takes no line on stderr.
+    run("--spp 1").json();
+}
+
 #[cfg(target_os = "linux")]
 mod ends {
     use super::*;
-    use crate::support::{signal, wait_until_ended};
+    use crate::support::{signal, signal_group, wait_until_ended};
 
     /// Much longer than any test waits, unless it is ended.
     const ENDLESS: &str = "--size 512x512 --spp 65536 -v";
@@ -90,15 +109,31 @@ mod ends {
         let folder = packed_box();
         let before = folder.names();
         for workers in [0, 3] {
-            let mut run = render(&folder, &format!("{ENDLESS} --workers {workers}")).start();
+            let mut run = render(&folder, &format!("{ENDLESS} --workers {workers}")).in_own_group().start();
             run.wait_for("all workers hold the scene");
             let children = run.children();
             assert_eq!(children.len(), workers);
-            signal("INT", run.id());
+            signal_group("INT", run.id());
             let outcome = run.finish();
             assert_eq!(outcome.code, Some(130), "{outcome:?}");
             assert!(outcome.stderr.ends_with("tessera: error: interrupted\n"), "{outcome:?}");
             children.into_iter().for_each(wait_until_ended);
+            assert_eq!(folder.names(), before);
+        }
+    }
+
+    #[test]
+    fn ctrl_c_is_heard_while_the_scene_is_prepared() {
+        let folder = Folder::new();
+        folder.write("large.toml", "[generate]\nkind = \"cornell\"\ntriangles = 2000000\n");
+        let before = folder.names();
+        for args in ["scene pack large.toml --out a.tpack -v", "render large.toml --out a.png -v"] {
+            let mut run = Tessera::new(args.split(' ')).within(folder.path()).start();
+            run.wait_for("preparing large.toml");
+            signal("INT", run.id());
+            let outcome = run.finish();
+            assert_eq!(outcome.code, Some(130), "{outcome:?}");
+            assert!(outcome.stderr.ends_with("tessera: error: interrupted\n"), "{outcome:?}");
             assert_eq!(folder.names(), before);
         }
     }

@@ -1,8 +1,11 @@
 //! Files that are written whole or not at all.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use tempfile::NamedTempFile;
 
 /// Why a file cannot be written.
 #[derive(Debug, thiserror::Error)]
@@ -75,13 +78,12 @@ impl OutputFile {
     {
         let mut temporary = self.temporary()?;
         let io = |source| OutputError::Io { path: self.path.clone(), source };
-        let mut writer = BufWriter::new(temporary.as_file_mut());
+        let mut writer = BufWriter::new(temporary.file.as_file_mut());
         fill(&mut writer)
             .map_err(|e| OutputError::Target { path: self.path.clone(), what: one_line(&e.to_string()) })?;
         writer.flush().map_err(io)?;
         drop(writer);
-        temporary.persist(&self.path).map_err(|e| io(e.error))?;
-        Ok(())
+        temporary.persist(&self.path).map_err(io)
     }
 
     /// Writes `bytes` as the whole file.
@@ -89,7 +91,7 @@ impl OutputFile {
         self.write(|w| w.write_all(bytes))
     }
 
-    fn temporary(&self) -> Result<tempfile::NamedTempFile, OutputError> {
+    fn temporary(&self) -> Result<Temporary, OutputError> {
         let mut builder = tempfile::Builder::new();
         builder.prefix(".tessera-").suffix(".part");
         #[cfg(unix)]
@@ -98,9 +100,63 @@ impl OutputFile {
             use std::os::unix::fs::PermissionsExt;
             builder.permissions(fs::Permissions::from_mode(0o666));
         }
-        builder
+        let mut unfinished = unfinished();
+        let file = builder
             .tempfile_in(folder_of(&self.path))
-            .map_err(|source| OutputError::Io { path: self.path.clone(), source: plain(source) })
+            .map_err(|source| OutputError::Io { path: self.path.clone(), source: plain(source) })?;
+        let path = file.path().to_owned();
+        unfinished.insert(path.clone());
+        Ok(Temporary { file, listed: Listed(path) })
+    }
+}
+
+/// Removes every file that is being written, and lets none be begun or finished while the result lives: for a process that is about
+/// to exit while its other threads still work.
+pub fn abandon_all() -> Abandoned {
+    let unfinished = unfinished();
+    for path in &*unfinished {
+        // Nobody is left to be told; the file may be gone already.
+        let _ = fs::remove_file(path);
+    }
+    Abandoned { _unfinished: unfinished }
+}
+
+/// See [`abandon_all`].
+#[must_use = "files may be begun again once it is dropped"]
+pub struct Abandoned {
+    _unfinished: MutexGuard<'static, BTreeSet<PathBuf>>,
+}
+
+/// The temporary files that exist.
+static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+fn unfinished() -> MutexGuard<'static, BTreeSet<PathBuf>> {
+    UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A file that is removed when it is dropped.
+struct Temporary {
+    file: NamedTempFile,
+    listed: Listed,
+}
+
+impl Temporary {
+    fn persist(self, path: &Path) -> io::Result<()> {
+        let Self { file, listed } = self;
+        let abandoning = unfinished();
+        let done = file.persist(path).map(drop).map_err(|e| e.error);
+        drop(abandoning);
+        drop(listed);
+        done
+    }
+}
+
+/// An entry of [`UNFINISHED`].
+struct Listed(PathBuf);
+
+impl Drop for Listed {
+    fn drop(&mut self) {
+        unfinished().remove(&self.0);
     }
 }
 

@@ -46,6 +46,10 @@ pub(crate) async fn spawn(
     for ticket in tickets {
         let mut command = Command::new(&workers.program);
         command.args(&workers.args).stdin(Stdio::piped()).stdout(Stdio::null()).kill_on_drop(true);
+        // A terminal sends Ctrl-C to a whole process group. It is the master's to act on: workers that died of it
+        // on their own would look lost.
+        #[cfg(unix)]
+        command.process_group(0);
         let mut child = command.spawn().map_err(failed)?;
         let bytes = codec::encode(ticket).map_err(|e| StartError::Endpoint(e.to_string()))?;
         let Some(mut stdin) = child.stdin.take() else {

@@ -41,6 +41,13 @@ impl Tessera {
         self
     }
 
+    /// Leading a process group of its own, as a shell starts it.
+    #[cfg(unix)]
+    pub fn in_own_group(mut self) -> Self {
+        std::os::unix::process::CommandExt::process_group(&mut self.0, 0);
+        self
+    }
+
     /// Runs it to its end.
     pub fn run(self) -> Outcome {
         self.start().finish()
@@ -146,6 +153,13 @@ fn next(from: &mpsc::Receiver<String>, what: &str) -> Option<String> {
 pub fn signal(name: &str, process: u32) {
     let status = Command::new("kill").args([format!("-{name}"), process.to_string()]).status();
     assert!(status.expect("kill runs").success(), "process {process} cannot be signalled");
+}
+
+/// Sends a signal to every process of the group that `leader` leads, as a terminal does.
+#[cfg(unix)]
+pub fn signal_group(name: &str, leader: u32) {
+    let status = Command::new("kill").args([&format!("-{name}"), "--", &format!("-{leader}")]).status();
+    assert!(status.expect("kill runs").success(), "group {leader} cannot be signalled");
 }
 
 /// Waits until a process has ended; one that nobody has asked for its status counts.

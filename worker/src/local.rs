@@ -30,6 +30,7 @@ pub async fn serve_ticket(ticket: LocalTicket, stop: impl Future<Output = ()>) -
         connection = connect(&ticket) => connection?,
         () = &mut stop => return Ok(()),
     };
+    tracing::info!("{} is connected to {}", ticket.name, ticket.address);
     let config = WorkerConfig { name: ticket.name, threads: ticket.threads, memory: None };
     let served = serve_until(connection.pipes, config, stop).await;
     connection.closer.close(served.is_ok()).await;

@@ -6,6 +6,7 @@ mod demo;
 mod error;
 mod info;
 mod info_text;
+mod interrupt;
 mod pack;
 mod progress;
 mod render;
@@ -15,6 +16,7 @@ mod worker;
 pub use error::{CommandError, one_line};
 
 use clap::{Args, Parser, Subcommand};
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 /// Renders real scenes on a cluster of workers.
@@ -49,6 +51,18 @@ pub struct LogArgs {
     /// How log lines are written.
     #[arg(long, global = true, value_enum, default_value_t, value_name = "FORMAT")]
     pub log_format: LogFormat,
+}
+
+impl LogArgs {
+    /// The same as arguments, for a process that logs to the same place.
+    pub fn to_args(&self) -> Vec<OsString> {
+        let format = match self.log_format {
+            LogFormat::Text => "text",
+            LogFormat::Json => "json",
+        };
+        let verbose = std::iter::repeat_n("-v", self.verbose.into());
+        verbose.chain(["--log-format", format]).map(Into::into).collect()
+    }
 }
 
 /// How log lines are written.
@@ -125,8 +139,11 @@ pub struct PackingArgs {
 impl Cli {
     /// Does what was asked.
     pub fn run(self) -> Result<(), CommandError> {
-        let quiet = self.log.verbose > 0 || std::env::var_os("RUST_LOG").is_some();
-        let progress = progress::Progress::new(quiet);
+        let progress = progress::Progress::new(self.log);
+        // A worker ends with its master, who hears of Ctrl-C itself.
+        if !matches!(self.command, Command::Worker) {
+            interrupt::listen(&progress)?;
+        }
         match self.command {
             Command::Demo(args) => demo::run(args, &progress),
             Command::Render(args) => render::run(args, &progress),

@@ -1,17 +1,36 @@
 //! Progress on a terminal; nothing anywhere else.
 
+use super::LogArgs;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Says on stderr how far the work is, if that is a terminal and no log is written there.
+#[derive(Clone)]
 pub struct Progress {
-    quiet: bool,
+    log: LogArgs,
+    /// The bar that was begun last.
+    current: Arc<Mutex<Option<ProgressBar>>>,
 }
 
 impl Progress {
-    /// `quiet` switches it off.
-    pub fn new(quiet: bool) -> Self {
-        Self { quiet }
+    /// For a command that logs as `log` says.
+    pub fn new(log: LogArgs) -> Self {
+        Self { log, current: Arc::default() }
+    }
+
+    /// How the command logs.
+    pub fn log(&self) -> &LogArgs {
+        &self.log
+    }
+
+    /// Clears the terminal; no bar is begun while the result lives.
+    pub fn end(&self) -> impl Drop + '_ {
+        let current = self.current();
+        if let Some(bar) = &*current {
+            bar.finish_and_clear();
+        }
+        current
     }
 
     /// A step of unknown length.
@@ -33,9 +52,17 @@ impl Progress {
 
     fn bar(&self, what: String, template: &str) -> Bar {
         // `stderr` draws on a terminal only.
-        let target = if self.quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+        let logs = self.log.verbose > 0 || std::env::var_os("RUST_LOG").is_some();
+        let target = if logs { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
         let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-        Bar(ProgressBar::with_draw_target(None, target).with_style(style).with_message(what))
+        let mut current = self.current();
+        let bar = ProgressBar::with_draw_target(None, target).with_style(style).with_message(what);
+        *current = Some(bar.clone());
+        Bar(bar)
+    }
+
+    fn current(&self) -> MutexGuard<'_, Option<ProgressBar>> {
+        self.current.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -1,7 +1,8 @@
 //! Preparing a scene and rendering one frame of it, for every command that does.
 
 use super::progress::Progress;
-use super::{CommandError, PackingArgs, args};
+use super::{CommandError, LogArgs, PackingArgs, args};
+use std::iter;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tessera_master::prepare::{PrepareOptions, Prepared, prepare};
@@ -66,6 +67,7 @@ pub fn prepare_scene(
 ) -> Result<Prepared, CommandError> {
     packing.check(path)?;
     let _bar = progress.step(format!("preparing {}", path.display()));
+    tracing::info!("preparing {}", path.display());
     prepare(path, &packing.options()).map_err(CommandError::failed)
 }
 
@@ -86,7 +88,7 @@ pub struct Rendered {
     pub start: Duration,
 }
 
-/// Renders one frame of `pack`. Ctrl-C ends it, and the workers with it.
+/// Renders one frame of `pack`.
 pub fn render_frame(
     pack: &Pack,
     job: &FrameJob,
@@ -97,15 +99,7 @@ pub fn render_frame(
         .enable_all()
         .build()
         .map_err(|e| CommandError::Failed(format!("cannot start the network threads: {e}")))?;
-    let result = runtime.block_on(async {
-        tokio::select! {
-            result = frame(pack, job, crew, progress) => result,
-            pressed = tokio::signal::ctrl_c() => match pressed {
-                Ok(()) => Err(CommandError::Interrupted),
-                Err(e) => Err(CommandError::Failed(format!("cannot listen for Ctrl-C: {e}"))),
-            },
-        }
-    });
+    let result = runtime.block_on(frame(pack, job, crew, progress));
     // An in-process worker may still be in the middle of a tile that nobody waits for.
     runtime.shutdown_background();
     result
@@ -121,7 +115,7 @@ async fn frame(
     let config = ClusterConfig { numeric_class: Some(NUMERIC_CLASS.to_owned()) };
     let mut cluster = {
         let _bar = progress.step("starting workers");
-        Cluster::start(workers(crew)?, config).await.map_err(CommandError::failed)?
+        Cluster::start(workers(crew, progress.log())?, config).await.map_err(CommandError::failed)?
     };
     let start = begin.elapsed();
     tracing::info!("all workers have joined after {start:.1?}");
@@ -151,7 +145,7 @@ fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
     }
 }
 
-fn workers(crew: Crew) -> Result<Workers, CommandError> {
+fn workers(crew: Crew, log: &LogArgs) -> Result<Workers, CommandError> {
     if crew.workers == 0 {
         return Ok(Workers::Links(vec![worker_here(crew.threads.unwrap_or_else(cores))]));
     }
@@ -159,7 +153,7 @@ fn workers(crew: Crew) -> Result<Workers, CommandError> {
         .map_err(|e| CommandError::Failed(format!("cannot find this program to start workers with: {e}")))?;
     Ok(Workers::Local(LocalWorkers {
         program,
-        args: vec!["worker".into()],
+        args: iter::once("worker".into()).chain(log.to_args()).collect(),
         count: crew.workers,
         threads: crew.threads,
     }))
