@@ -1,8 +1,9 @@
 //! Master and workers in this process, over memory and over QUIC: one image for every balancing and any
 //! number of workers.
 
+use std::future::poll_fn;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::task::Poll;
 use tessera_geometry::{LocalCamera, Vec3};
 use tessera_master::{
     Balance, Cluster, ClusterConfig, FrameJob, FrameResult, Link, LoadError, LocalWorkers, PixelFormat,
@@ -27,6 +28,19 @@ fn pack() -> Pack {
     build_pack(input, &PackOptions::default()).expect("two triangles").0
 }
 
+/// A strip of `count` triangles: a pack of more than one chunk.
+fn strip(count: u32) -> Pack {
+    let corner = |i: u32| [f64::from(i), f64::from(i % 2), 0.0];
+    let input = PackInput {
+        positions: (0..count + 2).map(corner).collect(),
+        triangles: (0..count).map(|i| [i, i + 1, i + 2]).collect(),
+        material_runs: vec![(0, 0)],
+        materials: vec![Material::default()],
+        ..PackInput::default()
+    };
+    build_pack(input, &PackOptions::default()).expect("a strip").0
+}
+
 fn job(pack: &Pack, balance: Balance) -> FrameJob {
     let frame = pack.frame();
     let origin = frame.to_local(tessera_geometry::DVec3::new(0.2, 0.1, 3.0));
@@ -48,19 +62,21 @@ fn config(name: &str, memory: Option<u64>) -> WorkerConfig {
     WorkerConfig { name: name.into(), threads: 1, memory }
 }
 
+/// A worker over memory.
+fn worker(config: WorkerConfig) -> (Link, Served) {
+    let (link, pipes) = Link::in_memory();
+    let pipes = WorkerPipes {
+        control_in: pipes.control_in,
+        control_out: pipes.control_out,
+        bulk_in: pipes.bulk_in,
+        bulk_out: pipes.bulk_out,
+    };
+    (link, tokio::spawn(tessera_worker::serve(pipes, config)))
+}
+
 /// `count` workers over memory.
 fn in_memory(count: usize) -> (Workers, Vec<Served>) {
-    let connect = |index| {
-        let (link, pipes) = Link::in_memory();
-        let pipes = WorkerPipes {
-            control_in: pipes.control_in,
-            control_out: pipes.control_out,
-            bulk_in: pipes.bulk_in,
-            bulk_out: pipes.bulk_out,
-        };
-        (link, tokio::spawn(tessera_worker::serve(pipes, config(&format!("w{index}"), None))))
-    };
-    let (links, served) = (0..count).map(connect).unzip();
+    let (links, served) = (0..count).map(|index| worker(config(&format!("w{index}"), None))).unzip();
     (Workers::Links(links), served)
 }
 
@@ -204,7 +220,8 @@ async fn a_lost_worker_is_replaced_and_the_last_one_is_not() {
     });
     let result = result.await.expect("one worker is enough");
     assert_eq!(result.workers.iter().map(|w| w.tiles).sum::<u32>(), 75 * 75);
-    assert_eq!(result.workers.iter().filter(|w| w.lost.is_some()).count(), reasons);
+    assert_eq!(reasons, 1);
+    assert_eq!(result.workers.iter().filter(|w| w.lost.is_some()).count(), 1);
 
     handles.for_each(|handle| handle.abort());
     let failed = cluster.render(&job, |_| ()).await;
@@ -226,14 +243,7 @@ async fn what_cannot_be_done_is_said() {
         assert!(matches!(handle.await.expect("no panic"), Err(WorkerError::Refused(_))));
     }
 
-    let (link, pipes) = Link::in_memory();
-    let pipes = WorkerPipes {
-        control_in: pipes.control_in,
-        control_out: pipes.control_out,
-        bulk_in: pipes.bulk_in,
-        bulk_out: pipes.bulk_out,
-    };
-    tokio::spawn(tessera_worker::serve(pipes, config("small", Some(10))));
+    let (link, _served) = worker(config("small", Some(10)));
     let mut small =
         Cluster::start(Workers::Links(vec![link]), ClusterConfig::default()).await.expect("it joins");
     let job = job(&pack, Balance::Dynamic);
@@ -258,14 +268,44 @@ async fn what_cannot_be_done_is_said() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn packs_follow_each_other_also_after_one_was_rejected() {
+    let (pack, larger) = (pack(), strip(3000));
+    // Room for the small pack alone in one of them.
+    let between = (pack.bytes().len() + larger.bytes().len()) as u64 / 2;
+    let (mut links, mut served) = (Vec::new(), Vec::new());
+    for memory in [None, Some(between), None] {
+        let (link, handle) = worker(config("w", memory));
+        links.push(link);
+        served.push(handle);
+    }
+    let mut cluster =
+        Cluster::start(Workers::Links(links), ClusterConfig::default()).await.expect("they join");
+    for _ in 0..3 {
+        let failed = cluster.load(&larger, |_| ()).await;
+        assert!(matches!(failed, Err(LoadError::Rejected { .. })), "{failed:?}");
+        let job = job(&pack, Balance::Dynamic);
+        assert!(matches!(cluster.render(&job, |_| ()).await, Err(RenderError::NoPack)));
+        cluster.load(&pack, |_| ()).await.expect("all have room for it");
+        let result = render(&mut cluster, &job).await;
+        assert!(result.workers.len() == 3 && result.workers.iter().all(|w| w.lost.is_none()), "{result:?}");
+    }
+    cluster.stop().await;
+    for handle in served {
+        handle.await.expect("no panic").expect("dismissed");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_worker_with_a_forged_ticket_is_refused_and_does_not_disturb() {
     let stranger = Arc::new(Mutex::new(None));
     let slot = stranger.clone();
     // The credentials of one cluster, for use at another.
     let keep =
         move |tickets: Vec<LocalTicket>| *slot.lock().expect("one thread") = tickets.into_iter().next();
-    let foreign = Cluster::start(Workers::Tickets(1, Box::new(keep)), ClusterConfig::default());
-    let _ = tokio::time::timeout(Duration::from_millis(50), foreign).await;
+    let mut foreign = Box::pin(Cluster::start(Workers::Tickets(1, Box::new(keep)), ClusterConfig::default()));
+    // It waits for its worker from then on.
+    let waits = poll_fn(|cx| Poll::Ready(foreign.as_mut().poll(cx).is_pending())).await;
+    assert!(waits);
     let foreign = stranger.lock().expect("one thread").take().expect("handed out before anyone joins");
 
     let outcome = Arc::new(Mutex::new(None));

@@ -9,11 +9,11 @@ use tessera_master::coordinator::{Coordinator, Event, FrameStatus, Outcome, Outp
 use tessera_master::{Balance, FrameJob, PixelFormat};
 use tessera_wire::{
     AbortCode, Attempt, Features, FrameId, Hello, PackId, Rays, Rect, TileEntry, TileId, ToMaster, ToWorker,
-    Version, WorkerId,
+    Version, WorkerId, limits,
 };
 use tessera_worker::session::{Action, Batch, RenderTask, RenderedTile, Session};
 
-const PACK: PackId = PackId([9; 32]);
+const PACKS: [PackId; 2] = [PackId([9; 32]), PackId([8; 32])];
 const PACK_BYTES: u64 = 1000;
 
 #[test]
@@ -22,7 +22,11 @@ fn every_frame_is_complete_for_every_seed() {
     let mut dropped = 0;
     for seed in 0..4000 {
         let mut world = World::new(seed, true);
-        for _ in 0..2 {
+        for pack in [None, None, Some(PACKS[1]), Some(PACKS[0])] {
+            // The frame before has just ended: much of it is still under way.
+            if let Some(pack) = pack {
+                world.load(pack);
+            }
             let job = world.random_job();
             let outcome =
                 world.render(&job).unwrap_or_else(|status| panic!("seed {seed}: {status:?}, {job:?}"));
@@ -98,6 +102,25 @@ fn a_worker_that_returns_nonsense_is_cut_off_and_the_others_finish() {
     }
 }
 
+#[test]
+fn a_worker_that_keeps_its_pixels_is_cut_off_and_the_others_finish() {
+    let mut world = World::with_workers(1, 3);
+    let job =
+        FrameJob { width: 64, height: 64, tile: 8, balance: Balance::PaperStatic, ..world.random_job() };
+    world.coordinator.begin(&job, world.now).expect("a job in range");
+    // Its connection stays; it says that its third of 64 tiles is rendered, and nothing else.
+    world.workers[0].is_alive = false;
+    world.expected_lost.insert(WorkerId(0));
+    let begun = world.now;
+    world.happen(Happening::ToMaster(WorkerId(0), ToMaster::Rendered { frame: FrameId(1), tiles: 22 }));
+    let outcome = world.finish(&job).expect("two workers are enough");
+    assert_eq!(world.lost, [WorkerId(0)]);
+    assert!(world.now >= begun + limits::RETURN_TIMEOUT);
+    let reason = outcome.workers[0].lost.as_deref().unwrap_or_default();
+    assert!(reason.contains("did not come in time"), "{reason}");
+    check_frame(1, &job, &outcome);
+}
+
 /// The right pixels everywhere, and every tile, ray and worker accounted for once.
 fn check_frame(seed: u64, job: &FrameJob, outcome: &Outcome) {
     let image = Rect { x: 0, y: 0, width: job.width, height: job.height };
@@ -147,7 +170,7 @@ struct Worker {
 enum Happening {
     ToWorker(WorkerId, ToWorker),
     ToMaster(WorkerId, ToMaster),
-    PackArrives(WorkerId),
+    PackArrives(WorkerId, PackId),
     Rendered(WorkerId, Box<RenderedTile>),
     BatchSent(WorkerId),
     Tile(WorkerId, FrameId, TileEntry, Vec<u8>),
@@ -202,8 +225,15 @@ impl World {
             self.workers.push(Worker { session, is_alive: true, speed, arrivals: [Duration::ZERO; 3] });
         }
         self.run_until(|c| c.joined().count() == count as usize);
-        self.coordinator.load(PACK, PACK_BYTES, self.now);
-        self.run_until(|c| c.holders().count() == count as usize);
+        self.load(PACKS[0]);
+        assert_eq!(self.coordinator.holders().count(), count as usize);
+    }
+
+    /// Everybody who lives takes `pack`.
+    fn load(&mut self, pack: PackId) {
+        self.coordinator.load(pack, PACK_BYTES, self.now);
+        self.run_until(|c| !c.is_loading());
+        assert_eq!(self.coordinator.holders().count(), self.coordinator.joined().count());
     }
 
     /// One frame, with a few disasters on the way if the world is rough.
@@ -280,7 +310,9 @@ impl World {
                 self.session(worker, Session::leave);
             }
             Happening::ToWorker(worker, message) => self.session(worker, |s| s.message(message)),
-            Happening::PackArrives(worker) => self.session(worker, |s| s.pack_received(PACK, Ok(()))),
+            Happening::PackArrives(worker, pack) => {
+                self.session(worker, |s| s.pack_received(pack, Ok(())));
+            }
             Happening::Rendered(worker, tile) => self.session(worker, |s| s.rendered(*tile)),
             Happening::BatchSent(worker) => self.session(worker, Session::batch_sent),
         }
@@ -321,9 +353,8 @@ impl World {
                 self.schedule(at, Happening::ToWorker(worker, message));
             }
             Output::SendPack(worker, pack) => {
-                assert_eq!(pack, PACK);
                 let at = self.arrival(worker, 0);
-                self.schedule(at, Happening::PackArrives(worker));
+                self.schedule(at, Happening::PackArrives(worker, pack));
             }
             Output::Event(Event::Lost(worker, reason)) => {
                 let name = self.expected_lost.contains(&worker);
@@ -341,8 +372,8 @@ impl World {
                 self.schedule(at, Happening::ToMaster(worker, message));
             }
             Action::Receive { pack, length } => {
-                assert_eq!((pack, length), (PACK, PACK_BYTES));
-                self.session(worker, |s| s.pack_reserved(PACK, Ok(())));
+                assert_eq!(length, PACK_BYTES);
+                self.session(worker, |s| s.pack_reserved(pack, Ok(())));
             }
             Action::Render(task) => {
                 let time = self.micros(10, 1000) * 100 / self.workers[worker.0 as usize].speed as u32;

@@ -146,6 +146,9 @@ impl Cluster {
 
     /// Gives `pack` to every worker and returns when all hold it, checked; later frames render it.
     ///
+    /// Ends when every worker has answered, also if one rejects the pack; then no pack is loaded. Dropping the future before leaves
+    /// workers in the middle of a transfer: stop the cluster then.
+    ///
     /// The time that this took becomes [`Timings::send_scene`](crate::Timings::send_scene) of later frames.
     pub async fn load(
         &mut self,
@@ -155,28 +158,36 @@ impl Cluster {
         let begun = Instant::now();
         let id = PackId(pack.id().0);
         let length = pack.bytes().len() as u64;
-        self.pack = Some(id);
+        self.pack = None;
+        let mut rejected = None;
         self.counters.pack.store(0, Ordering::Relaxed);
         self.coordinator.load(id, length, self.now());
         loop {
             for event in self.carry_out(Some(pack)) {
                 if let Event::PackRejected(worker, reason) = event {
-                    return Err(LoadError::Rejected { worker: self.describe(worker), reason });
+                    let worker = self.describe(worker);
+                    rejected.get_or_insert(LoadError::Rejected { worker, reason });
+                } else {
+                    self.report(event, &mut progress);
                 }
-                self.report(event, &mut progress);
             }
             let joined = self.coordinator.joined().count();
-            if joined == 0 {
-                return Err(LoadError::AllLost { last: self.last_lost.clone() });
-            }
             let bytes = self.counters.pack.load(Ordering::Relaxed);
             progress(Progress::Sent { bytes, total: length * joined as u64 });
-            if self.coordinator.holders().count() == joined {
-                self.send_scene = begun.elapsed();
-                return Ok(self.send_scene);
+            if !self.coordinator.is_loading() {
+                break;
             }
             self.wait().await;
         }
+        if let Some(rejected) = rejected {
+            return Err(rejected);
+        }
+        if self.coordinator.holders().next().is_none() {
+            return Err(LoadError::AllLost { last: self.last_lost.clone() });
+        }
+        self.pack = Some(id);
+        self.send_scene = begun.elapsed();
+        Ok(self.send_scene)
     }
 
     /// Renders one frame of the loaded pack. Workers lost on the way are replaced by the others.

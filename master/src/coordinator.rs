@@ -8,10 +8,13 @@ use crate::{
     dispatch::{Assignment, Dispatch, Violation},
     session::{Session, Step},
 };
-use std::{collections::VecDeque, time::Duration};
+use std::{
+    collections::{BTreeMap, VecDeque},
+    time::Duration,
+};
 use tessera_wire::{
     AbortCode, FrameError, FrameId, PackId, PackRefusal, Rays, TileEntry, TileGrid, ToMaster, ToWorker,
-    WorkerId,
+    WorkerId, limits,
 };
 
 /// What the driver has to do, or to know.
@@ -98,6 +101,8 @@ struct Active {
     image: FrameBuffer,
     rays: Rays,
     reports: Vec<(WorkerId, WorkerReport)>,
+    /// Until when the next tile of a worker must be in, for as long as it owes pixels.
+    due: BTreeMap<WorkerId, Duration>,
     late: u64,
     begun: Duration,
     last_rendered: Duration,
@@ -117,7 +122,8 @@ impl Coordinator {
 
     /// When [`Coordinator::tick`] has to be called at the latest.
     pub fn deadline(&self) -> Option<Duration> {
-        self.sessions.iter().filter_map(Session::deadline).min()
+        let returns = self.frame.iter().flat_map(Active::due).map(|(_, due)| due);
+        self.sessions.iter().filter_map(Session::deadline).chain(returns).min()
     }
 
     /// The arithmetic of the cluster, once settled.
@@ -139,6 +145,11 @@ impl Coordinator {
     pub fn holders(&self) -> impl Iterator<Item = WorkerId> {
         let pack = self.pack;
         self.ids().filter(move |worker| pack.is_some_and(|p| self.sessions[worker.0 as usize].holds(p)))
+    }
+
+    /// Whether a worker has not yet said if it takes the pack on offer.
+    pub fn is_loading(&self) -> bool {
+        self.sessions.iter().any(Session::awaits_pack)
     }
 
     /// A connection was made, and is safe to talk over.
@@ -196,6 +207,11 @@ impl Coordinator {
         for worker in self.ids() {
             self.with_session(worker, now, |session| session.tick(now));
         }
+        let overdue = self.frame.iter().flat_map(Active::due).filter(|&(_, due)| due <= now);
+        for worker in overdue.map(|(worker, _)| worker).collect::<Vec<_>>() {
+            let detail = "the pixels of rendered tiles did not come in time";
+            self.abort(worker, AbortCode::Timeout, detail.into(), now);
+        }
     }
 
     /// Offers a pack of `length` bytes to every worker; later frames are of it.
@@ -225,6 +241,7 @@ impl Coordinator {
             image: FrameBuffer::new(job.width, job.height, job.format),
             rays: Rays::default(),
             reports,
+            due: BTreeMap::new(),
             late: 0,
             begun: now,
             last_rendered: now,
@@ -323,6 +340,7 @@ impl Coordinator {
         match active.dispatch.rendered(worker, tiles) {
             Ok(assignments) => {
                 active.last_rendered = now;
+                active.due.insert(worker, now + limits::RETURN_TIMEOUT);
                 self.assign(assignments);
             }
             Err(violation) => self.abort(worker, AbortCode::Unexpected, violation.to_string(), now),
@@ -373,11 +391,18 @@ impl Active {
         if first {
             self.image.put(rect.x, rect.y, rect.width, rect.height, pixels).map_err(|e| e.to_string())?;
             self.rays += entry.rays;
+            self.due.insert(worker, now + limits::RETURN_TIMEOUT);
             if self.dispatch.is_done() {
                 self.completed = Some(now);
             }
         }
         Ok(first)
+    }
+
+    /// Workers that owe pixels, and until when the next tile of each must be in. One that still renders has all the time it needs:
+    /// how long a tile may take is not known.
+    fn due(&self) -> impl Iterator<Item = (WorkerId, Duration)> {
+        self.due.iter().map(|(&worker, &due)| (worker, due)).filter(|&(worker, _)| self.dispatch.owes(worker))
     }
 
     fn outcome(self) -> Option<Outcome> {

@@ -86,6 +86,12 @@ impl Session {
         matches!(&self.phase, Phase::Joined { holding: Holding::Held(held), .. } if *held == pack)
     }
 
+    /// Whether a pack is on offer and the worker has neither taken nor rejected it.
+    pub fn awaits_pack(&self) -> bool {
+        let on_offer = |holding: &Holding| matches!(holding, Holding::Offered(_) | Holding::Awaited(_));
+        matches!(&self.phase, Phase::Joined { holding, .. } if on_offer(holding))
+    }
+
     /// Takes a message. `numeric_class` is the cluster's, if it is settled.
     pub fn message(&mut self, message: ToMaster, numeric_class: Option<&str>) -> Vec<Step> {
         let unexpected = |what: &str| (AbortCode::Unexpected, format!("{what} does not belong here"));
@@ -115,11 +121,10 @@ impl Session {
                     self.deadline = None;
                     return vec![Step::PackRejected(reason)];
                 }
-                (Holding::Held(_), ToMaster::Rendered { frame, tiles }) => {
-                    return vec![Step::Rendered { frame, tiles }];
-                }
+                // Pixels may overtake it, and the next pack may be on offer before it comes. The coordinator knows
+                // which frames there were.
+                (_, ToMaster::Rendered { frame, tiles }) => return vec![Step::Rendered { frame, tiles }],
                 (_, ToMaster::Hello(_)) => unexpected("a second `Hello`"),
-                (_, ToMaster::Rendered { .. }) => unexpected("`Rendered` without a pack"),
                 (_, _) => unexpected("an answer about a pack that is not on offer"),
             },
         };
@@ -252,7 +257,11 @@ mod tests {
         assert!(s.holds(PACK));
         assert_eq!(s.offer(PACK, 10, NOW), [Step::PackHeld], "no second transfer");
         let rendered = ToMaster::Rendered { frame: FrameId(1), tiles: 2 };
+        assert_eq!(s.message(rendered.clone(), None), [Step::Rendered { frame: FrameId(1), tiles: 2 }]);
+        // Its pixels have come before it, and the next pack is on offer.
+        s.offer(PackId([8; 32]), 10, NOW);
         assert_eq!(s.message(rendered, None), [Step::Rendered { frame: FrameId(1), tiles: 2 }]);
+        assert!(s.awaits_pack());
         let steps = s.dismiss();
         assert_eq!(steps[0], Step::Send(ToWorker::Dismiss));
         check_over(&mut s, &steps, AbortCode::Done);
@@ -300,7 +309,6 @@ mod tests {
             ToMaster::Hello(hello()),
             ToMaster::PackReady { pack: PACK },
             ToMaster::PackNeed { pack: other, have: true },
-            ToMaster::Rendered { frame: FrameId(1), tiles: 1 },
             ToMaster::PackRejected { pack: other, reason: PackRefusal::Transfer { detail: "x".into() } },
         ];
         for message in wrong {
@@ -324,7 +332,7 @@ mod tests {
             s.message(ToMaster::PackRejected { pack: PACK, reason: reason.clone() }, None),
             [Step::PackRejected(reason)]
         );
-        assert!(s.hello().is_some() && !s.holds(PACK) && s.deadline().is_none());
+        assert!(s.hello().is_some() && !s.holds(PACK) && !s.awaits_pack() && s.deadline().is_none());
         assert!(matches!(s.offer(PackId([1; 32]), 4, NOW)[..], [Step::Send(ToWorker::PackOffer { .. })]));
     }
 

@@ -20,6 +20,8 @@ pub struct Dispatch {
     pool: VecDeque<TileId>,
     /// Tiles handed out and not yet said to be rendered, by living worker.
     queued: BTreeMap<WorkerId, u32>,
+    /// Tiles handed out whose pixels are missing, by living worker.
+    missing: BTreeMap<WorkerId, u32>,
     done: u32,
     dropped: u64,
 }
@@ -47,7 +49,7 @@ pub struct Assignment {
 /// A worker says what cannot be; it must be cut off.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Violation {
-    /// More tiles rendered than it has.
+    /// No tile rendered, or more than it has.
     #[error("{tiles} tiles said to be rendered, {queued} are with the worker")]
     Rendered {
         /// Said.
@@ -73,6 +75,7 @@ impl Dispatch {
             tiles: vec![Tile::default(); grid.tiles() as usize],
             pool: (0..grid.tiles()).map(TileId).collect(),
             queued: workers.iter().map(|&worker| (worker, 0)).collect(),
+            missing: workers.iter().map(|&worker| (worker, 0)).collect(),
             done: 0,
             dropped: 0,
         };
@@ -96,7 +99,8 @@ impl Dispatch {
     /// `worker` has rendered `tiles` more tiles; what it gets next.
     pub fn rendered(&mut self, worker: WorkerId, tiles: u32) -> Result<Vec<Assignment>, Violation> {
         let Some(queued) = self.queued.get_mut(&worker) else { return Ok(Vec::new()) };
-        *queued = queued.checked_sub(tiles).ok_or(Violation::Rendered { tiles, queued: *queued })?;
+        let wrong = Violation::Rendered { tiles, queued: *queued };
+        *queued = queued.checked_sub(tiles).filter(|_| tiles > 0).ok_or(wrong)?;
         Ok(self.hand_out())
     }
 
@@ -116,6 +120,9 @@ impl Dispatch {
         }
         state.done = true;
         self.done += 1;
+        if let Some(missing) = state.holder.and_then(|holder| self.missing.get_mut(&holder)) {
+            *missing -= 1;
+        }
         Ok(true)
     }
 
@@ -125,6 +132,7 @@ impl Dispatch {
         if self.queued.remove(&worker).is_none() {
             return Vec::new();
         }
+        self.missing.remove(&worker);
         for (id, tile) in self.tiles.iter_mut().enumerate().rev() {
             if tile.holder == Some(worker) {
                 tile.holder = None;
@@ -134,6 +142,11 @@ impl Dispatch {
             }
         }
         self.hand_out()
+    }
+
+    /// Whether `worker` has nothing left to render and pixels to return.
+    pub fn owes(&self, worker: WorkerId) -> bool {
+        self.queued.get(&worker) == Some(&0) && self.missing.get(&worker).is_some_and(|&n| n > 0)
     }
 
     /// Whether the frame is complete.
@@ -214,6 +227,7 @@ impl Dispatch {
             tile.handed += 1;
             tile.holder = Some(worker);
             *self.queued.entry(worker).or_default() += 1;
+            *self.missing.entry(worker).or_default() += 1;
         }
         let assignment = |((worker, attempt), tiles)| Assignment { worker, attempt: Attempt(attempt), tiles };
         joined.into_iter().map(assignment).collect()
@@ -285,7 +299,29 @@ mod tests {
         assert_eq!(d.accept(WorkerId(0), TileId(3), Attempt(0)), wrong(3, 0));
         assert_eq!(d.accept(WorkerId(0), TileId(4), Attempt(0)), wrong(4, 0));
         assert_eq!(d.accept(WorkerId(0), TileId(u32::MAX), Attempt(u32::MAX)), wrong(u32::MAX, u32::MAX));
-        assert_eq!(d.rendered(WorkerId(0), 2), Err(Violation::Rendered { tiles: 2, queued: 1 }));
+        for tiles in [0, 2] {
+            assert_eq!(d.rendered(WorkerId(0), tiles), Err(Violation::Rendered { tiles, queued: 1 }));
+        }
+    }
+
+    #[test]
+    fn pixels_are_owed_once_everything_is_rendered() {
+        let (mut d, _) = Dispatch::start(&grid(3), Balance::PaperStatic, &workers(2));
+        let first = WorkerId(0);
+        d.rendered(first, 1).unwrap();
+        assert!(!d.owes(first), "it renders the other");
+        d.rendered(first, 1).unwrap();
+        assert!(d.owes(first) && !d.owes(WorkerId(1)));
+        d.accept(first, TileId(0), Attempt(0)).unwrap();
+        d.accept(first, TileId(0), Attempt(0)).unwrap();
+        assert!(d.owes(first), "one tile twice is not two tiles");
+        d.lost(WorkerId(1));
+        assert!(!d.owes(first), "it has the tile of the other");
+        d.rendered(first, 1).unwrap();
+        // The other's result still comes.
+        d.accept(WorkerId(1), TileId(1), Attempt(0)).unwrap();
+        d.accept(first, TileId(2), Attempt(0)).unwrap();
+        assert!(!d.owes(first) && !d.owes(WorkerId(1)) && d.is_done());
     }
 
     #[test]

@@ -78,6 +78,10 @@ pub const UDP_PAYLOAD_BYTES: u16 = 9000 - 28;
 /// How long either side waits for `Hello`, `Welcome` or `Refuse` on a new connection.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 
+/// How long the master waits for the next tile of a worker that has nothing left to render: a minute for a
+/// busy machine, and a second a MiB of the largest tile, as for packs.
+pub const RETURN_TIMEOUT: Duration = Duration::from_secs(60 + (TILE_BYTES >> 20));
+
 /// How long the master waits for `PackReady` of a pack of `bytes`: a minute for validation, and a second a
 /// MiB for the slowest link that is still worth using (8 Mbit/s).
 pub const fn pack_timeout(bytes: u64) -> Duration {
