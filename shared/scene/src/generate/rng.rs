@@ -65,8 +65,8 @@ mod tests {
         assert_eq!(split_mix(0), 0xE220_A839_7B1D_CDAF);
         let mut rng = Rng::new(1, 2);
         let drawn: Vec<u32> = (0..4).map(|_| rng.next_u32()).collect();
-        let mut again = Rng::new(1, 2);
-        assert_eq!(drawn, (0..4).map(|_| again.next_u32()).collect::<Vec<_>>());
+        // Worked out apart from this program, by a generator that gives the published output of PCG32's demo (seed 42, stream 54).
+        assert_eq!(drawn, [0xE939_5861, 0x5F07_3DC8, 0x93F7_EAC5, 0x0ECB_BF6E]);
         assert_ne!(drawn[0], Rng::new(2, 2).next_u32());
         assert_ne!(drawn[0], Rng::new(1, 3).next_u32());
     }

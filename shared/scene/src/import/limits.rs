@@ -5,15 +5,19 @@
 /// field has 32 bits.
 pub const SOURCE_BYTES_MAX: u64 = u32::MAX as u64;
 
-/// Bytes that one import may read from all its files together: half of the 16 GiB that a master is expected to have.
+/// Bytes that one import may read from all files that its source refers to together: half of the 16 GiB that a master is expected to have.
 pub const TOTAL_BYTES_MAX: u64 = 8 << 30;
 
 /// Bytes of glTF's JSON: thirty times San Miguel's.
 pub const JSON_BYTES_MAX: usize = 256 << 20;
 
 /// Objects in glTF's JSON, counted as opening braces. `{}` in an array of nodes costs 3 bytes in the file and a few hundred in
-/// memory, so a limit on bytes alone would let 256 MiB become tens of GiB. San Miguel has about 200,000.
+/// memory, so a limit on bytes alone would let 256 MiB become tens of GiB. San Miguel has about 60,000.
 pub const JSON_OBJECTS_MAX: usize = 4 << 20;
+
+/// Values in glTF's JSON, counted as commas and opening brackets: an empty string or list costs 3 bytes in the file and 24 or more
+/// in memory. San Miguel has about a million.
+pub const JSON_VALUES_MAX: usize = 16 << 20;
 
 /// Bytes of one image file.
 pub const IMAGE_BYTES_MAX: u64 = 256 << 20;
@@ -29,6 +33,9 @@ pub const TOTAL_TEXELS_MAX: u64 = 512 << 20;
 
 /// Vertices, and triangles, in a document's meshes: a vertex takes up to 48 bytes, so both together stay below 8 GiB.
 pub const DOCUMENT_VERTICES_MAX: u64 = 1 << 27;
+
+/// Groups, parts and material names of an OBJ file together: each may cost few bytes in the file and a few hundred in memory.
+pub const OBJ_PARTS_MAX: usize = 1 << 20;
 
 /// See [`DOCUMENT_VERTICES_MAX`].
 pub const DOCUMENT_TRIANGLES_MAX: u64 = 1 << 27;

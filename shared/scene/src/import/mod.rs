@@ -8,6 +8,7 @@ mod report;
 mod resolve;
 mod texels;
 
+pub(crate) use report::without_controls;
 pub(crate) use resolve::read_file;
 
 use crate::{Image, Scene, SceneError};

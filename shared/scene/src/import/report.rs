@@ -68,8 +68,13 @@ pub(crate) fn shown(name: &str) -> String {
 
 /// A name from a file as the scene keeps it: no control characters (it will be printed), and not without end.
 pub(crate) fn clean(name: &str) -> String {
-    let printable = |c: char| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c };
-    name.chars().take(NAME_KEPT_MAX).map(printable).collect()
+    let end = name.char_indices().nth(NAME_KEPT_MAX).map_or(name.len(), |(at, _)| at);
+    without_controls(&name[..end])
+}
+
+/// `text` with control characters replaced.
+pub(crate) fn without_controls(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c }).collect()
 }
 
 #[cfg(test)]
@@ -97,6 +102,7 @@ mod tests {
     fn names_cannot_steer_a_terminal() {
         assert_eq!(shown("a\u{1b}[2Jb"), "a\\u{1b}[2Jb");
         assert_eq!(clean("a\u{1b}[2J\nb c"), "a\u{fffd}[2J\u{fffd}b c");
+        assert_eq!(clean(&"é".repeat(300)).chars().count(), NAME_KEPT_MAX);
         assert_eq!(shown(&"x".repeat(200)).len(), NAME_SHOWN_MAX + 3);
     }
 }

@@ -11,7 +11,7 @@ use super::limits::{SOURCE_BYTES_MAX, TOTAL_BYTES_MAX};
 use super::report::shown;
 use crate::SceneError;
 use std::fs::File;
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 /// How a reference is written.
@@ -55,14 +55,32 @@ impl Resolver {
         let bytes = match data_uri(reference) {
             Some(data) if syntax == Syntax::Uri => decode_data_uri(data, bytes_max)
                 .map_err(|what| self.refuse(reference, &format!("is a data: URI that {what}")))?,
-            _ => read_file(&self.locate(reference, syntax)?, bytes_max)?,
+            _ => {
+                let path = self
+                    .locate(reference, syntax)?
+                    .ok_or_else(|| self.refuse(reference, "cannot be read: there is no such file"))?;
+                // Messages name the reference: a path decoded from it could steer a terminal.
+                read_file(&path, bytes_max).map_err(|error| match error {
+                    SceneError::Read { source, .. } => {
+                        self.refuse(reference, &format!("cannot be read: {source}"))
+                    }
+                    SceneError::Invalid { what, .. } => self.refuse(reference, &what),
+                    other => other,
+                })?
+            }
         };
         self.bytes_left -= bytes.len() as u64;
         Ok(bytes)
     }
 
-    /// The canonical path of the file behind `reference`, proved to lie in the source's folder.
-    fn locate(&self, reference: &str, syntax: Syntax) -> Result<PathBuf, SceneError> {
+    /// Whether `reference` is one that may be followed but leads to nothing.
+    pub(crate) fn is_missing(&self, reference: &str, syntax: Syntax) -> Result<bool, SceneError> {
+        let is_data = syntax == Syntax::Uri && data_uri(reference).is_some();
+        Ok(!is_data && self.locate(reference, syntax)?.is_none())
+    }
+
+    /// The canonical path of the file behind `reference`, proved to lie in the source's folder; `None` when there is none.
+    fn locate(&self, reference: &str, syntax: Syntax) -> Result<Option<PathBuf>, SceneError> {
         if let Some(scheme) = scheme(reference) {
             return Err(self.refuse(
                 reference,
@@ -97,12 +115,19 @@ impl Resolver {
             }
         }
         let path = inside.iter().fold(self.folder.clone(), |path, part| path.join(part));
-        let canonical =
-            path.canonicalize().map_err(|error| SceneError::Read { path: path.clone(), source: error })?;
+        let canonical = match path.canonicalize() {
+            Ok(canonical) => canonical,
+            Err(error) => match error.kind() {
+                ErrorKind::NotFound | ErrorKind::NotADirectory | ErrorKind::InvalidFilename => {
+                    return Ok(None);
+                }
+                _ => return Err(self.refuse(reference, &format!("cannot be read: {error}"))),
+            },
+        };
         if !canonical.starts_with(&self.folder) {
             return Err(self.leaves(reference));
         }
-        Ok(canonical)
+        Ok(Some(canonical))
     }
 
     fn leaves(&self, reference: &str) -> SceneError {
@@ -299,14 +324,17 @@ mod tests {
             ("100%", "two hexadecimal digits"),
             ("a%00b", "not a file name"),
             ("", "not a file name"),
-            ("missing.bin", "cannot read"),
-            ("sub", "is a folder"),
+            ("missing.bin", "\"missing.bin\" cannot be read"),
+            ("mis%0asing%1b[2J.bin", "\"mis%0asing%1b[2J.bin\" cannot be read"),
+            ("a%20b.bin/c", "cannot be read"),
+            ("sub", "\"sub\" is a folder"),
             ("data:;base64,a", "middle of a base64 group"),
             ("data:;base64,a?==", "byte 0x3f"),
             ("data:nothing", "no comma"),
         ] {
             let error = read(root.path(), reference, Syntax::Uri).unwrap_err();
             assert!(error.contains(why), "{reference}: {error}");
+            assert!(!error.contains(char::is_control), "{reference}: {error:?}");
         }
         let error = read(root.path(), "data:,x", Syntax::Path).unwrap_err();
         assert!(error.contains("scheme 'data:'"), "{error}");

@@ -115,6 +115,9 @@ fn order_cameras(
 }
 
 fn camera(entry: &CameraEntry) -> Result<Camera, &'static str> {
+    if entry.name.contains(char::is_control) {
+        return Err("the name has control characters");
+    }
     let [eye, target, up] = [entry.eye, entry.target, entry.up].map(DVec3::from_array);
     if !(eye.is_finite() && target.is_finite() && up.is_finite()) {
         return Err("eye, target and up must be finite numbers");

@@ -62,14 +62,19 @@ pub fn add_defaults(scene: &mut Scene, bounds: (DVec3, DVec3)) {
     }
 }
 
-/// Whether the looks of a material are chiefly what lies around or behind it: smooth metal, and what transmits light.
-/// Images, which may make parts of it so, are not asked.
+/// Whether the looks of a material are chiefly what lies around or behind it: smooth metal, smooth surfaces with
+/// a specular reflectance above any plain dielectric's (how MTL states mirrors), and what transmits light. Images, which may make parts of it so, are not asked.
 fn shows_surroundings(material: &Material) -> bool {
-    !material.unlit && (material.transmission > 0.0 || (material.metallic > 0.5 && material.roughness < 0.25))
+    // 0.2 is the reflectance of a refractive index of 2.6; diamond's is 0.17.
+    let reflects = material.metallic > 0.5 || material.specular.iter().any(|&channel| channel > 0.2);
+    !material.unlit && (material.transmission > 0.0 || (reflects && material.roughness < 0.25))
 }
 
 /// A camera that has the whole box in view, whatever the shape of the image down to a square.
 fn framing((low, high): (DVec3, DVec3)) -> CameraPose {
+    // Far beyond what can be packed, and squares of what is larger would overflow.
+    let limit = DVec3::splat(1e150);
+    let (low, high) = (low.clamp(-limit, limit), high.clamp(-limit, limit));
     let target = low + (high - low) * 0.5;
     let radius = ((high - low) * 0.5).length();
     // A single point still needs an eye that is not on it, at any magnitude of its coordinates.
@@ -98,6 +103,10 @@ mod tests {
         }
         let point = framing((DVec3::splat(1e7), DVec3::splat(1e7)));
         assert!(point.eye != point.target);
+        for (low, high) in [(-f64::MAX, f64::MAX), (1e308, 1.1e308), (-1e308, 1.0)] {
+            let pose = framing((DVec3::splat(low), DVec3::splat(high)));
+            assert!(pose.eye.is_finite() && pose.target.is_finite() && pose.eye != pose.target);
+        }
     }
 
     #[test]
@@ -129,13 +138,16 @@ mod tests {
             scene.environment
         };
         let of = |material| Scene { materials: vec![Material::default(), material], ..Scene::default() };
-        assert_eq!([with(of(mirror())), with(of(glass()))], [SKY, SKY]);
+        let painted = || Material { roughness: 0.0, specular: [0.9; 3], ..Material::default() };
+        assert_eq!([with(of(mirror())), with(of(glass())), with(of(painted()))], [SKY; 3]);
 
         // Nothing that shows it, or something stated.
         let dull = [
             Material { roughness: 0.25, ..mirror() },
             Material { metallic: 0.5, ..mirror() },
             Material { unlit: true, ..glass() },
+            Material { roughness: 0.25, ..painted() },
+            Material { specular: [0.2; 3], ..painted() },
         ];
         for material in dull {
             assert_eq!(with(of(material)), Environment::None);

@@ -157,7 +157,8 @@ impl Faults<'_> {
             format!("line {line}, column {column}: ")
         });
         // A parser's message may take several lines; ours take one.
-        let what = what.split_whitespace().collect::<Vec<_>>().join(" ");
+        // Names in it come from the file and must not steer a terminal.
+        let what = import::without_controls(&what.split_whitespace().collect::<Vec<_>>().join(" "));
         SceneError::Invalid { path: self.path.to_owned(), what: format!("{place}{what}") }
     }
 }

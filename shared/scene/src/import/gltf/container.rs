@@ -2,7 +2,7 @@
 
 use super::json::Root;
 use crate::SceneError;
-use crate::import::limits::{JSON_BYTES_MAX, JSON_OBJECTS_MAX};
+use crate::import::limits::{JSON_BYTES_MAX, JSON_OBJECTS_MAX, JSON_VALUES_MAX};
 use crate::import::report::{Report, shown};
 use std::path::Path;
 
@@ -112,6 +112,10 @@ pub(super) fn parse(json: &[u8], path: &Path, report: &mut Report) -> Result<Roo
     let objects = json.iter().filter(|&&byte| byte == b'{').count();
     if objects > JSON_OBJECTS_MAX {
         return Err(report.invalid(format!("has {objects} JSON objects, more than {JSON_OBJECTS_MAX}")));
+    }
+    let values = json.iter().filter(|&&byte| matches!(byte, b',' | b'[')).count();
+    if values > JSON_VALUES_MAX {
+        return Err(report.invalid(format!("has {values} JSON values, more than {JSON_VALUES_MAX}")));
     }
     let malformed = |error: serde_json::Error| report.invalid(format!("is not valid glTF JSON: {error}"));
     let probe: Probe = serde_json::from_slice(json).map_err(malformed)?;

@@ -496,7 +496,7 @@ fn hostile_values_are_named() {
         ("/buffers/0/uri".to_owned(), json!("file:///etc/passwd"), "scheme 'file:'"),
         ("/buffers/0/uri".to_owned(), json!("https://example.com/a.bin"), "scheme 'https:'"),
         ("/buffers/0/uri".to_owned(), json!("/etc/passwd"), "absolute path"),
-        ("/buffers/0/uri".to_owned(), json!("missing.bin"), "cannot read"),
+        ("/buffers/0/uri".to_owned(), json!("missing.bin"), "cannot be read"),
         ("/buffers/0/uri".to_owned(), Value::Null, "has no uri"),
         ("/buffers/0".to_owned(), json!("x"), "not valid glTF JSON"),
         ("/bufferViews/0/buffer".to_owned(), json!(3), "needs buffers[3]"),
@@ -571,6 +571,18 @@ fn not_a_number_stays_for_the_clean_up_to_count() {
 }
 
 #[test]
+fn cameras_get_names_of_their_own() {
+    let mut draft = Draft::triangle();
+    let names = ["A 3", "A", "A", "A 2", "A"];
+    draft.json["nodes"] = names.map(|name| json!({"camera": 0, "name": name, "mesh": 0})).to_vec().into();
+    draft.json["scenes"][0]["nodes"] = json!([0, 1, 2, 3, 4]);
+    draft.json["cameras"] = json!([{"type": "perspective", "perspective": {"yfov": 1.0, "znear": 0.1}}]);
+    let scene = draft.import().unwrap();
+    let names: Vec<&str> = scene.cameras.iter().map(|camera| camera.name.as_str()).collect();
+    assert_eq!(names, ["A 3", "A", "A 4", "A 2", "A 5"]);
+}
+
+#[test]
 fn no_json_brings_the_parser_down() {
     let nested = format!("{}{}", "[".repeat(100_000), "]".repeat(100_000));
     let infinite = "{\"asset\":{\"version\":\"2.0\"},\"nodes\":[{\"scale\":[1e999,1,1]}]}";
@@ -584,6 +596,11 @@ fn no_json_brings_the_parser_down() {
     let nodes = vec!["{}"; crate::import::limits::JSON_OBJECTS_MAX].join(",");
     let many = format!("{{\"asset\":{{\"version\":\"2.0\"}},\"nodes\":[{nodes}]}}");
     assert!(import_bytes(many.as_bytes()).unwrap_err().contains("JSON objects, more than"));
+    let many = format!(
+        "{{\"asset\":{{\"version\":\"2.0\"}},\"extras\":[{}]}}",
+        ",".repeat(crate::import::limits::JSON_VALUES_MAX)
+    );
+    assert!(import_bytes(many.as_bytes()).unwrap_err().contains("JSON values, more than"));
 }
 
 #[test]

@@ -230,8 +230,10 @@ fn read_camera(
         return Ok(());
     };
     // `--camera` takes a name, so that names must differ.
-    if scene.cameras.iter().any(|camera| camera.name == name) {
-        name = format!("{name} {}", scene.cameras.len() + 1);
+    let is_taken = |name: &String| scene.cameras.iter().any(|camera| camera.name == *name);
+    if is_taken(&name) {
+        let mut numbered = (scene.cameras.len() + 1..).map(|number| format!("{name} {number}"));
+        name = numbered.find(|name| !is_taken(name)).unwrap_or_default();
     }
     let pose = CameraPose { eye, target: eye + forward, up, fov_degrees: yfov.to_degrees() };
     scene.cameras.push(Camera { name, pose });

@@ -10,7 +10,7 @@
 //! | `vn x y z` | normal |
 //! | `f a/b/c ...` | a fan around the first corner: exact for convex polygons, for concave ones the usual convention |
 //! | `o`, `g` | a mesh and a node, in file order; within it one part a material |
-//! | `usemtl`, `mtllib` | materials; a material that no library has is light grey |
+//! | `usemtl`, `mtllib` | materials; a material that no library has is light grey; a library that is missing is warned of and counted |
 //! | `l`, `p` | left out and counted |
 //!
 //! Indices count from 1, negative ones back from the last element so far. Smoothing groups are left out: without `vn` a face is
@@ -21,7 +21,7 @@ mod mtl;
 #[cfg(test)]
 mod tests;
 
-use super::limits::{DOCUMENT_TRIANGLES_MAX, DOCUMENT_VERTICES_MAX, POLYGON_CORNERS_MAX};
+use super::limits::{DOCUMENT_TRIANGLES_MAX, DOCUMENT_VERTICES_MAX, OBJ_PARTS_MAX, POLYGON_CORNERS_MAX};
 use super::report::{Report, clean, shown};
 use super::resolve::{Resolver, read_source};
 use super::texels::code;
@@ -146,6 +146,8 @@ struct Reader {
     material: usize,
     vertices: u64,
     triangles: u64,
+    /// Groups, parts and material names.
+    parts: usize,
     points_and_lines: u64,
     too_small: u64,
     unknown: Vec<String>,
@@ -165,15 +167,20 @@ impl Reader {
                 if count == 0 {
                     return Err("'vt' needs a number".to_owned());
                 }
+                check_room(self.uvs.len())?;
                 self.uvs.push([values[0], values[1]]);
             }
             "vn" => match numbers::<3>(words)? {
-                (values, 3) => self.normals.push(values.map(|value| value as f32)),
+                (values, 3) => {
+                    check_room(self.normals.len())?;
+                    self.normals.push(values.map(|value| value as f32));
+                }
                 _ => return Err("'vn' needs three numbers".to_owned()),
             },
             "f" | "fo" => self.face(words)?,
             "l" | "p" => self.points_and_lines += 1,
             "o" | "g" => {
+                self.count_part()?;
                 self.groups.push(Group { name: clean(after(line, keyword)), ..Group::default() });
             }
             "usemtl" => {
@@ -181,6 +188,7 @@ impl Reader {
                 self.material = match self.material_places.get(name) {
                     Some(&place) => place,
                     None => {
+                        self.count_part()?;
                         self.material_names.push(name.to_owned());
                         self.material_places.insert(name.to_owned(), self.material_names.len());
                         self.material_names.len()
@@ -198,6 +206,12 @@ impl Reader {
         Ok(())
     }
 
+    /// Before a group or a material name is added.
+    fn count_part(&mut self) -> Result<(), String> {
+        self.parts += 1;
+        check_parts(self.parts)
+    }
+
     fn vertex<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
         let (v, count) = numbers::<7>(words)?;
         if count < 3 {
@@ -212,6 +226,7 @@ impl Reader {
         if color.is_some() && self.colors.is_empty() {
             self.colors.resize(self.positions.len(), [255; 4]);
         }
+        check_room(self.positions.len())?;
         self.positions.push(DVec3::new(v[0], v[1], v[2]));
         if color.is_some() || !self.colors.is_empty() {
             let [r, g, b] = color.map_or([255; 3], |color| color.map(code));
@@ -229,6 +244,7 @@ impl Reader {
         let Some(group) = self.groups.last_mut() else { return Ok(()) };
         let part = *group.by_material.entry(material).or_insert(group.parts.len());
         if part == group.parts.len() {
+            self.parts += 1;
             group.parts.push(Part { material, ..Part::default() });
         }
         let part = &mut group.parts[part];
@@ -257,6 +273,7 @@ impl Reader {
             }
         }
         self.too_small += u64::from(count < 3);
+        check_parts(self.parts)?;
         self.vertices += (part.corners.len() - corners_before) as u64;
         if self.vertices > DOCUMENT_VERTICES_MAX || self.triangles > DOCUMENT_TRIANGLES_MAX {
             return Err(format!(
@@ -324,6 +341,21 @@ impl Reader {
             triangles: part.triangles.clone(),
             material,
         }
+    }
+}
+
+/// Whether a list of positions, texture coordinates or normals may grow: it is held whether faces use it or not.
+fn check_room(length: usize) -> Result<(), String> {
+    match (length as u64) < DOCUMENT_VERTICES_MAX {
+        true => Ok(()),
+        false => Err(format!("more than {DOCUMENT_VERTICES_MAX} positions, texture coordinates or normals")),
+    }
+}
+
+fn check_parts(parts: usize) -> Result<(), String> {
+    match parts <= OBJ_PARTS_MAX {
+        true => Ok(()),
+        false => Err(format!("more than {OBJ_PARTS_MAX} groups, materials and parts; merge some")),
     }
 }
 

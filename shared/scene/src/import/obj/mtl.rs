@@ -16,7 +16,8 @@
 //! | `map_d` | its alpha, or its brightness when it has none, becomes the base texture's alpha, cut out at 1/2 |
 //! | `-clamp on`, `-s u v`, `-o u v` | clamping; texture coordinates `uv * s + o` |
 //!
-//! Other maps and options are left out with a warning.
+//! Other maps and options are left out with a warning, and so is a map whose image is missing: the surface is as if the map had
+//! not been stated. A reference that leads out of the folder is an error all the same.
 
 use super::{Lines, after};
 use crate::import::limits::IMAGE_BYTES_MAX;
@@ -95,16 +96,24 @@ impl Libraries {
 
     /// Loads what a `mtllib` statement names: one file, whose name may hold spaces, or several files.
     pub(super) fn load(&mut self, names: &str, report: &mut Report) -> Result<(), SceneError> {
-        match self.resolver.read(names, Syntax::Path, LIBRARY_BYTES_MAX) {
-            Ok(text) => self.parse(names, &text, report),
-            Err(SceneError::Read { .. }) if names.contains(char::is_whitespace) => {
-                names.split_whitespace().try_for_each(|name| {
-                    let text = self.resolver.read(name, Syntax::Path, LIBRARY_BYTES_MAX)?;
-                    self.parse(name, &text, report)
-                })
-            }
-            Err(error) => Err(error),
+        if names.contains(char::is_whitespace) && self.resolver.is_missing(names, Syntax::Path)? {
+            names.split_whitespace().try_for_each(|name| self.load_one(name, report))
+        } else {
+            self.load_one(names, report)
         }
+    }
+
+    fn load_one(&mut self, name: &str, report: &mut Report) -> Result<(), SceneError> {
+        if self.resolver.is_missing(name, Syntax::Path)? {
+            report.warn(format!(
+                "the material library \"{}\" is missing; what uses its materials is light grey",
+                shown(name)
+            ));
+            report.drop("material libraries that are missing", 1);
+            return Ok(());
+        }
+        let text = self.resolver.read(name, Syntax::Path, LIBRARY_BYTES_MAX)?;
+        self.parse(name, &text, report)
     }
 
     fn parse(&mut self, library: &str, text: &[u8], report: &mut Report) -> Result<(), SceneError> {
@@ -140,9 +149,21 @@ impl Libraries {
     fn build(
         &mut self,
         name: &str,
-        draft: Draft,
+        mut draft: Draft,
         report: &mut Report,
     ) -> Result<(Material, UvTransform), SceneError> {
+        for map in [&mut draft.map_kd, &mut draft.map_d, &mut draft.map_ke] {
+            let Some(Map { path, .. }) = map else { continue };
+            if self.resolver.is_missing(path, Syntax::Path)? {
+                report.warn(format!(
+                    "the material \"{}\": the image \"{}\" is missing; the surface is drawn without it",
+                    shown(name),
+                    shown(path)
+                ));
+                report.drop("material maps whose image is missing", 1);
+                *map = None;
+            }
+        }
         let mut material = draft.surface();
         material.name = clean(name);
         let base = match (&draft.map_kd, &draft.map_d) {

@@ -80,7 +80,6 @@ fn faults_are_named_with_their_line() {
         ("v 0 0 0\nf 1/// 1 1\n", "is not a corner"),
         ("v 0 0 0\nf 1///1 1 1\n", "is not a corner"),
         ("v 0 0 0\nf /1 1 1\n", "is not a corner"),
-        ("mtllib missing.mtl\n", "cannot read"),
         ("mtllib ../m.mtl\n", "leads out of the source's folder"),
         ("mtllib ..\\m.mtl\n", "leads out of the source's folder"),
         ("mtllib file:///etc/passwd\n", "scheme 'file:'"),
@@ -194,4 +193,39 @@ fn faults_in_a_library_are_named_with_their_line() {
     }
     let warnings = import_mtl("newmtl m\nKd spectral file.rfl\n").unwrap().warnings;
     assert_eq!(warnings, ["the material \"m\": Kd in the form 'spectral' is not read"]);
+}
+
+#[test]
+fn missing_libraries_and_images_are_warned_of_and_counted() {
+    let obj = "mtllib none.mtl\nmtllib m.mtl gone.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl m\nf 1 2 3\n";
+    let mtl = "newmtl m\nmap_Kd no.png\nmap_Ke no.png\nnewmtl n\nKd 1 0 0\nmap_d there.png\nmap_Kd no.png\n";
+    let image = png(1, &[[9, 9, 9, 255]]);
+    let scene = import_files(obj, &[("m.mtl", mtl.as_bytes()), ("there.png", &image)]).unwrap();
+    // As if the maps had not been stated: light grey, no glow.
+    let [m, n] = scene.materials.as_slice() else { panic!("two materials") };
+    assert_eq!((m.base_color, m.base_texture), ([0.8, 0.8, 0.8, 1.0], None));
+    assert_eq!((m.emissive, m.emissive_texture), ([0.0; 3], None));
+    assert_eq!((n.base_color, scene.images.len()), ([1.0, 0.0, 0.0, 1.0], 1));
+    assert_eq!(scene.images[0].rgba[..], [255, 255, 255, 9]);
+    assert_eq!(
+        scene.warnings,
+        [
+            "the material library \"none.mtl\" is missing; what uses its materials is light grey",
+            "the material \"m\": the image \"no.png\" is missing; the surface is drawn without it",
+            "the material \"n\": the image \"no.png\" is missing; the surface is drawn without it",
+            "the material library \"gone.mtl\" is missing; what uses its materials is light grey",
+        ]
+    );
+    assert_eq!(
+        scene.dropped,
+        [("material libraries that are missing", 2), ("material maps whose image is missing", 3)]
+    );
+    let out = import_files(obj, &[("m.mtl", b"newmtl m\nmap_Kd ../no.png\n")]).unwrap_err();
+    assert!(out.contains("leads out"), "{out}");
+}
+
+#[test]
+fn groups_without_end_are_refused() {
+    let error = import_files(&"g\n".repeat(OBJ_PARTS_MAX + 1), &[]).unwrap_err();
+    assert!(error.contains("line 1048577: more than 1048576 groups"), "{error}");
 }
