@@ -28,5 +28,5 @@ mod surface;
 mod texture;
 
 pub use frame::{Features, FrameParams, PixelFormat, RayCounts};
-pub use pixel::{NUMERIC_CLASS, PixelBlock, render_block};
+pub use pixel::{NUMERIC_CLASS, PixelBlock};
 pub use scene::Renderer;

@@ -79,8 +79,8 @@ fn cone(cosine: f32, cos_inner: f32, cos_outer: f32) -> f32 {
 
 /// The share of a light that reaches `origin`: 0 in shadow, 1 in the open, a colour behind glass or a veil.
 ///
-/// Occluders begin at the distance `clearance`, and any side of them is opaque. Holes pass light. Glass passes it unbent with its share times its
-/// colour, and what blends passes `1 - alpha` besides.
+/// Occluders begin at the distance `clearance`, and any side of them is opaque. Holes pass light. Glass passes it unbent
+/// with its share times its colour, and what blends passes `1 - alpha` besides.
 pub(crate) fn transmittance(
     scene: &Renderer<'_>,
     features: Features,

@@ -121,7 +121,7 @@ pub(crate) struct Seen {
     pub color: Vec3,
     /// Coverage, [0, 1].
     pub alpha: f32,
-    /// The first surface.
+    /// The first surface that covers anything.
     pub first: Option<Hit>,
 }
 
@@ -134,6 +134,19 @@ pub(crate) fn nearest_seen(scene: &Renderer<'_>, ray: &Ray, after: After) -> Opt
     } else {
         nearest(scene, ray, after)
     }
+}
+
+/// The nearest surface that is seen along `ray` and covers anything: what [`trace`] calls the first.
+pub(crate) fn first_seen(scene: &Renderer<'_>, ray: &Ray) -> Option<Hit> {
+    let mut after = After::EYE;
+    for _ in 0..=MAX_LAYERS {
+        let hit = nearest_seen(scene, ray, after)?;
+        if paint_at(scene, &hit).alpha > 0.0 {
+            return Some(hit);
+        }
+        after = After::hit(&hit);
+    }
+    None
 }
 
 /// The nearest surface along `ray` behind `after`, which replaces its `t_min`; holes excepted.
@@ -195,16 +208,18 @@ pub(crate) fn trace(
             }
             continue;
         };
-        if depth == 0 && layers == 0 {
-            first = Some(hit);
-        }
 
-        // Shade it by itself.
+        // Shade it by itself. What covers nothing is not the surface that is seen.
         let surface = surface_at(scene, &hit, direction);
         let paint = paint_at(scene, &hit);
+        if depth == 0 && first.is_none() && paint.alpha > 0.0 {
+            first = Some(hit);
+        }
         let terms = terms(&paint, &surface, direction, features);
         let covered = weight * paint.alpha;
-        color += covered * local_light(scene, features, &surface, &terms, direction, counts);
+        if covered != Vec3::ZERO {
+            color += covered * local_light(scene, features, &surface, &terms, direction, counts);
+        }
 
         // Go straight on past the uncovered part and through unbent glass.
         let mut straight = weight * (1.0 - paint.alpha);

@@ -1,16 +1,15 @@
 //! Blocks of pixels.
 
 use crate::color::{encode_linear, encode_srgb};
-use crate::path::{After, PathStack, Seen, nearest_seen, trace};
+use crate::path::{PathStack, Seen, first_seen, trace};
 use crate::sample::{offset_in_pixel, pixel_seed};
 use crate::scene::Renderer;
 use crate::surface::geometric_normal;
 use crate::{FrameParams, PixelFormat, RayCounts};
 use tessera_geometry::{Hit, Vec3};
-use tessera_pack::Pack;
 
 /// Names the arithmetic: frames of one class are equal bit for bit. Raise the number with every change of a result.
-pub const NUMERIC_CLASS: &str = "cpu-1";
+pub const NUMERIC_CLASS: &str = "cpu-2";
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,19 +31,9 @@ impl PixelBlock {
     }
 }
 
-/// Renders `block` into `out` (`width * height * bytes_per_pixel` bytes). A pixel depends on the pack, the parameters
-/// and its own coordinates alone, never on the block.
-///
-/// Prepares the pack anew for every block, which costs O(materials); who renders many blocks keeps a [`Renderer`].
-///
-/// # Panics
-/// When `out` is not [`PixelBlock::byte_len`] long.
-pub fn render_block(pack: &Pack, params: &FrameParams, block: PixelBlock, out: &mut [u8]) -> RayCounts {
-    Renderer::new(pack).render_block(params, block, out)
-}
-
 impl Renderer<'_> {
-    /// [`render_block`] with the pack prepared once.
+    /// Renders `block` into `out` (`width * height * bytes_per_pixel` bytes). A pixel depends on the pack, the parameters
+    /// and its own coordinates alone, never on the block.
     ///
     /// # Panics
     /// When `out` is not [`PixelBlock::byte_len`] long.
@@ -98,7 +87,7 @@ fn pixel(
     }
     let first = if params.format == PixelFormat::Layers {
         counts.primary += 1;
-        nearest_seen(scene, &centre, After::EYE)
+        first_seen(scene, &centre)
     } else {
         None
     };

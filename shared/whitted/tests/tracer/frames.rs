@@ -2,8 +2,8 @@
 
 use crate::support::*;
 use tessera_geometry::{DVec3, Hit};
-use tessera_pack::{ImageInput, Material, MaterialFlags, Pack, Plain, Wrap};
-use tessera_whitted::{PixelBlock, PixelFormat, RayCounts, Renderer, render_block};
+use tessera_pack::{ImageInput, Material, MaterialFlags, Plain, Wrap};
+use tessera_whitted::{PixelBlock, PixelFormat, RayCounts, Renderer};
 
 /// A bit of everything: mirror, glass, veil, mask, textures, several lights.
 fn mixed_scene() -> Stage {
@@ -75,10 +75,11 @@ fn an_empty_block_and_the_free_function_work_alike() {
     let view = mixed_view();
     let params = view.params(&pack, PixelFormat::Rgba8);
     let nothing = PixelBlock { x: 3, y: 4, width: 0, height: 7 };
-    assert_eq!(render_block(&pack, &params, nothing, &mut []), RayCounts::default());
+    let renderer = Renderer::new(&pack);
+    assert_eq!(renderer.render_block(&params, nothing, &mut []), RayCounts::default());
     let all = PixelBlock { x: 0, y: 0, width: 37, height: 29 };
     let mut out = vec![0; all.byte_len(PixelFormat::Rgba8)];
-    render_block(&pack, &params, all, &mut out);
+    renderer.render_block(&params, all, &mut out);
     assert_eq!(out, view.bytes(&pack, PixelFormat::Rgba8).0);
 }
 
@@ -179,7 +180,7 @@ fn frames_differ_by_their_number_only_where_samples_are_many() {
         let params = tessera_whitted::FrameParams { frame, ..view.params(&pack, PixelFormat::Rgba8) };
         let block = PixelBlock { x: 0, y: 0, width: 37, height: 29 };
         let mut out = vec![0; block.byte_len(PixelFormat::Rgba8)];
-        render_block(&pack, &params, block, &mut out);
+        Renderer::new(&pack).render_block(&params, block, &mut out);
         out
     };
     assert_eq!(render(1, 0), render(1, 7));
@@ -207,9 +208,22 @@ fn vertex_colours_multiply_the_base_colour() {
 
 #[test]
 fn an_empty_scene_is_background() {
-    let pack: Pack = match Stage::default().pack_with(Plain::default()) {
-        Ok(pack) => pack,
-        Err(_) => return,
-    };
+    let pack = Stage::default().pack_with(Plain::default()).expect("an empty scene packs");
     assert_eq!(mixed_view().layers(&pack).0[0].alpha, 0.0);
+}
+
+#[test]
+fn what_covers_nothing_is_neither_seen_nor_lit() {
+    let air = Material { base_color: [1.0, 1.0, 1.0, 0.0], flags: MaterialFlags::ALPHA_BLEND, ..chalk() };
+    let mut stage = Stage::default();
+    stage.quad([-8.0, -8.0, 1.0], [16.0, 0.0, 0.0], [0.0, 16.0, 0.0], air);
+    stage.quad([-8.0, -8.0, 0.0], [16.0, 0.0, 0.0], [0.0, 16.0, 0.0], unlit([0.5; 3]));
+    stage.input.lights = vec![point_light([0.0, 0.0, 3.0], 1.0)];
+    let pack = stage.pack();
+    for samples in [1, 4] {
+        let (pixels, counts) = View { samples, ..look([0.25, 0.5, 4.0], [0.25, 0.5, 0.0]) }.layers(&pack);
+        assert!((pixels[0].depth - 4.0).abs() < 1e-5 && pixels[0].id >= 2, "{:?}", pixels[0]);
+        assert_eq!((pixels[0].alpha, counts.shadow), (1.0, 0));
+        assert_color(pixels[0].color, 0.5, 1e-6);
+    }
 }
