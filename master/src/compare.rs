@@ -3,8 +3,10 @@
 //! Red, green and blue are compared, never alpha: 8-bit PNG as codes with peak 255, 16-bit PNG as codes with peak 65,535, EXR as linear
 //! values with peak 1. All sums are `f64` over rows in order, so a figure does not depend on the machine or its threads.
 
-use std::io::{BufReader, Cursor};
+use crate::input;
+use std::io::{BufReader, Cursor, Read};
 use std::path::{Path, PathBuf};
+use tessera_wire::limits;
 
 /// How two images differ.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -54,20 +56,17 @@ pub fn compare_files(a: &Path, b: &Path) -> Result<Comparison, CompareError> {
 
 /// Red, green and blue of an image.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RgbImage {
-    /// Columns.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// What the values are.
-    pub kind: Kind,
+struct RgbImage {
+    width: u32,
+    height: u32,
+    kind: Kind,
     /// `width * height` values a channel, rows from the top, all finite.
-    pub channels: [Vec<f32>; 3],
+    channels: [Vec<f32>; 3],
 }
 
 /// What the values of an [`RgbImage`] are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+enum Kind {
     /// Codes 0..=255.
     Codes8,
     /// Codes 0..=65,535.
@@ -95,7 +94,7 @@ impl Kind {
 }
 
 /// Compares two images of one size and kind.
-pub fn compare(a: &RgbImage, b: &RgbImage) -> Result<Comparison, CompareError> {
+fn compare(a: &RgbImage, b: &RgbImage) -> Result<Comparison, CompareError> {
     if (a.width, a.height) != (b.width, b.height) {
         return Err(CompareError::Size(a.width, a.height, b.width, b.height));
     }
@@ -197,15 +196,15 @@ fn gaussian() -> [f64; WINDOW] {
     raw.map(|w| w / sum)
 }
 
-/// Largest side of an image that is read, in pixels.
-const SIDE_MAX: u32 = 65_535;
-/// Most pixels of an image that is read: 16384 x 16384, 3 GiB as three `f32` channels.
-const PIXELS_MAX: u64 = 1 << 28;
+/// Longest file that is read: the largest image in the largest pixel format, 36 bytes each, and a little for its tables.
+const FILE_BYTES_MAX: u64 = limits::PIXELS * 40;
+/// Most channels of an EXR file: several times what renderers write. Decoding needs memory for all channels of some rows at once.
+const CHANNELS_MAX: usize = 256;
 
 /// Reads a PNG or EXR file; the content decides, not the name.
-pub fn load(path: &Path) -> Result<RgbImage, CompareError> {
+fn load(path: &Path) -> Result<RgbImage, CompareError> {
     let fail = |what: String| CompareError::Image { path: path.to_owned(), what };
-    let bytes = std::fs::read(path).map_err(|e| fail(format!("cannot be read: {e}")))?;
+    let bytes = content(path).map_err(fail)?;
     let image = match bytes.get(..4) {
         Some([0x76, 0x2f, 0x31, 0x01]) => load_exr(&bytes),
         Some([0x89, b'P', b'N', b'G']) => load_png(&bytes),
@@ -220,14 +219,24 @@ pub fn load(path: &Path) -> Result<RgbImage, CompareError> {
     Ok(image)
 }
 
+fn content(path: &Path) -> Result<Vec<u8>, String> {
+    let (file, length) = input::open(path, FILE_BYTES_MAX)?;
+    let mut bytes = Vec::new();
+    let unreadable = |e: std::io::Error| format!("cannot be read: {e}");
+    file.take(length).read_to_end(&mut bytes).map_err(unreadable)?;
+    Ok(bytes)
+}
+
 fn check_size(width: u64, height: u64) -> Result<(u32, u32), String> {
     match (u32::try_from(width), u32::try_from(height)) {
-        (Ok(w), Ok(h))
-            if w > 0 && h > 0 && w <= SIDE_MAX && h <= SIDE_MAX && width * height <= PIXELS_MAX =>
-        {
+        (Ok(w @ 1..=limits::SIDE), Ok(h @ 1..=limits::SIDE)) if width * height <= limits::PIXELS => {
             Ok((w, h))
         }
-        _ => Err(format!("is {width}x{height} pixels large; at most {PIXELS_MAX} pixels are compared")),
+        _ => Err(format!(
+            "is {width}x{height} pixels large; at most {} a side and {} in all are compared",
+            limits::SIDE,
+            limits::PIXELS
+        )),
     }
 }
 
@@ -235,9 +244,9 @@ fn load_png(bytes: &[u8]) -> Result<RgbImage, String> {
     use image::ImageDecoder;
     let bad = |e: image::ImageError| format!("is not a readable PNG: {e}");
     let mut limits = image::Limits::default();
-    limits.max_image_width = Some(SIDE_MAX);
-    limits.max_image_height = Some(SIDE_MAX);
-    limits.max_alloc = Some(PIXELS_MAX * 8);
+    limits.max_image_width = Some(limits::SIDE);
+    limits.max_image_height = Some(limits::SIDE);
+    limits.max_alloc = Some(limits::PIXELS * 8);
     let decoder = image::codecs::png::PngDecoder::with_limits(BufReader::new(Cursor::new(bytes)), limits)
         .map_err(bad)?;
     let (width, height) = decoder.dimensions();
@@ -255,32 +264,48 @@ fn load_png(bytes: &[u8]) -> Result<RgbImage, String> {
 }
 
 fn load_exr(bytes: &[u8]) -> Result<RgbImage, String> {
-    use exr::prelude::*;
+    use exr::{meta::header::Header, prelude::*};
     let bad = |e: Error| format!("is not a readable EXR: {e}");
-    // Sizes are checked in the header, before anything is reserved for the pixels.
+    // Sizes are checked in the headers, before anything is reserved for the pixels.
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(bad)?;
     for header in &meta.headers {
         check_size(header.layer_size.0 as u64, header.layer_size.1 as u64)?;
+        let channels = header.channels.list.len();
+        if channels > CHANNELS_MAX {
+            return Err(format!("has {channels} channels; at most {CHANNELS_MAX} are taken"));
+        }
     }
+    let has = |header: &Header, name: &str| header.channels.list.iter().any(|c| c.name.eq(name));
+    // The layer that the reader below takes: the first that has what it asks for.
+    let is_rgb = |header: &&Header| !header.deep && ["R", "G", "B"].iter().all(|name| has(header, name));
+    let Some(header) = meta.headers.iter().find(is_rgb) else {
+        return Err("has no layer with the channels R, G and B, which are compared".into());
+    };
+    if header.channels.list.iter().any(|c| c.sampling != Vec2(1, 1)) {
+        return Err("holds a channel at a lower resolution, which is not supported".into());
+    }
+    let empty = |size: Vec2<usize>, _: &_| (size.width(), [(); 3].map(|()| vec![0.0_f32; size.area()]));
+    let set =
+        |(width, channels): &mut (usize, [Vec<f32>; 3]), at: Vec2<usize>, (r, g, b): (f32, f32, f32)| {
+            for (channel, value) in channels.iter_mut().zip([r, g, b]) {
+                channel[at.y() * *width + at.x()] = value;
+            }
+        };
     let file = read()
         .no_deep_data()
         .largest_resolution_level()
-        .all_channels()
+        .specific_channels()
+        .required("R")
+        .required("G")
+        .required("B")
+        .collect_pixels(empty, set)
         .first_valid_layer()
         .all_attributes()
         .from_buffered(Cursor::new(bytes))
         .map_err(bad)?;
     let layer = file.layer_data;
     let (width, height) = check_size(layer.size.0 as u64, layer.size.1 as u64)?;
-    let channel = |name: &str| -> std::result::Result<Vec<f32>, String> {
-        let found = layer.channel_data.list.iter().find(|c| c.name.eq(name));
-        let found = found.ok_or_else(|| format!("has no channel {name}; R, G and B are compared"))?;
-        if found.sampling != Vec2(1, 1) {
-            return Err(format!("holds the channel {name} at a lower resolution, which is not supported"));
-        }
-        Ok(found.sample_data.values_as_f32().collect())
-    };
-    let channels = [channel("R")?, channel("G")?, channel("B")?];
+    let (_, channels) = layer.channel_data.pixels;
     Ok(RgbImage { width, height, kind: Kind::Linear, channels })
 }
 
@@ -380,6 +405,37 @@ mod tests {
     }
 
     #[test]
+    fn an_exr_without_colours_or_with_too_many_channels_is_refused() {
+        use exr::prelude::*;
+        let file = |names: &[String]| {
+            let channels =
+                names.iter().map(|name| AnyChannel::new(name.as_str(), FlatSamples::F32(vec![0.5; 2])));
+            let mut bytes = Cursor::new(Vec::new());
+            let channels = AnyChannels::sort(channels.collect());
+            Image::from_channels((2, 1), channels).write().to_buffered(&mut bytes).unwrap();
+            bytes.into_inner()
+        };
+        let names = |count: usize| -> Vec<String> {
+            ["R", "G", "B"].map(String::from).into_iter().chain((3..count).map(|i| format!("x{i}"))).collect()
+        };
+        assert_eq!(load_exr(&file(&names(CHANNELS_MAX))).unwrap().channels, [(); 3].map(|()| vec![0.5; 2]));
+        let refused = |names: &[String], says: &str| {
+            let error = load_exr(&file(names)).unwrap_err();
+            assert!(error.contains(says), "{error}");
+        };
+        refused(&names(CHANNELS_MAX + 1), "257 channels");
+        refused(&names(3)[..2], "no layer with the channels R, G and B");
+    }
+
+    #[test]
+    fn what_is_not_a_plain_file_is_not_opened() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(load(folder.path()).unwrap_err().to_string().contains("is a folder"));
+        #[cfg(unix)]
+        assert!(load(Path::new("/dev/zero")).unwrap_err().to_string().contains("not a regular file"));
+    }
+
+    #[test]
     fn sizes_must_agree() {
         let error = compare(&codes(3, 2, |_, _, _| 0), &codes(2, 3, |_, _, _| 0)).unwrap_err();
         assert_eq!(
@@ -394,5 +450,9 @@ mod tests {
         let mut png = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR".to_vec();
         png.extend([0x7f, 0xff, 0xff, 0xff, 0x7f, 0xff, 0xff, 0xff, 8, 2, 0, 0, 0]);
         assert!(load_png(&png).is_err());
+        assert_eq!(check_size(65_536, 4096), Ok((65_536, 4096)), "what can be rendered can be compared");
+        for (width, height) in [(0, 1), (65_537, 1), (1 << 32, 1), (65_536, 4097)] {
+            assert!(check_size(width, height).is_err(), "{width} x {height}");
+        }
     }
 }

@@ -9,6 +9,7 @@ pub mod coordinator;
 pub mod dispatch;
 mod frame;
 pub mod image;
+mod input;
 mod line;
 mod net;
 pub mod output;

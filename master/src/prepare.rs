@@ -1,7 +1,7 @@
 //! From a file to a pack: import, flatten, select, pack.
 
+use crate::input;
 use std::collections::HashMap;
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -9,11 +9,13 @@ use tessera_geometry::{CameraPose, DVec3};
 use tessera_kdtree::BuildOptions;
 use tessera_pack::{
     Ambient, Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, MaterialFlags, NO_TEXTURE,
-    Pack, PackBuffer, PackInput, PackOptions, PackStats, Plain, Wrap, build_pack,
+    Pack, PackBuffer, PackError, PackInput, PackOptions, PackStats, Plain, Wrap, build_pack,
+    format::{HEADER_LEN, check_header},
 };
 use tessera_scene::{
     AlphaMode, Camera, FlatMesh, LeftOut, LoadOptions, Scene, SceneError, Selection, TextureRef, Without,
 };
+use tessera_wire::limits;
 
 /// What of a scene is packed, and how.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -111,7 +113,7 @@ pub enum PrepareError {
 /// Reads and packs whatever the user named: a source, a scene file, or a `.tpack` file, which is taken as it is.
 pub fn prepare(path: &Path, options: &PrepareOptions) -> Result<Prepared, PrepareError> {
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tpack")) {
-        return read_bundle(path);
+        return read_bundle(path, options.without);
     }
     let start = Instant::now();
     let mut scene = tessera_scene::load(path, &options.load)?;
@@ -119,8 +121,8 @@ pub fn prepare(path: &Path, options: &PrepareOptions) -> Result<Prepared, Prepar
     prepare_scene(scene, options, start.elapsed())
 }
 
-/// Reads and checks a `.tpack` file.
-fn read_bundle(path: &Path) -> Result<Prepared, PrepareError> {
+/// Reads and checks a `.tpack` file. What is left out `without` some feature is what no ray will be traced for.
+fn read_bundle(path: &Path, without: Without) -> Result<Prepared, PrepareError> {
     let start = Instant::now();
     let pack = read_pack(path).map_err(|what| PrepareError::Bundle { path: path.to_owned(), what })?;
     let mut notes =
@@ -139,7 +141,7 @@ fn read_bundle(path: &Path) -> Result<Prepared, PrepareError> {
         name: path.display().to_string(),
         cameras,
         source: None,
-        left_out: Vec::new(),
+        left_out: without.rays_left_out(),
         warnings: Vec::new(),
         notes,
         timings: PrepareTimings { read: start.elapsed(), pack: Duration::ZERO },
@@ -149,11 +151,17 @@ fn read_bundle(path: &Path) -> Result<Prepared, PrepareError> {
 
 fn read_pack(path: &Path) -> Result<Pack, String> {
     let unreadable = |e: std::io::Error| format!("cannot be read: {e}");
-    let mut file = File::open(path).map_err(unreadable)?;
-    let length = file.metadata().map_err(unreadable)?.len();
-    let no_memory = || format!("{length} bytes of memory for the bundle could not be had");
+    let (mut file, length) = input::open(path, limits::PACK_BYTES)?;
+    // The header first: a length is believed only of what begins like a pack.
+    let mut header = Vec::with_capacity(HEADER_LEN);
+    Read::by_ref(&mut file).take(HEADER_LEN as u64).read_to_end(&mut header).map_err(unreadable)?;
+    check_header(&header, length).map_err(|e| e.to_string())?;
+    let no_memory = || PackError::OutOfMemory(length).to_string();
     let mut buffer = usize::try_from(length).ok().and_then(PackBuffer::with_len).ok_or_else(no_memory)?;
-    file.read_exact(buffer.as_mut_slice()).map_err(unreadable)?;
+    // As long as its length says, the file has a whole header.
+    let (first, rest) = buffer.as_mut_slice().split_at_mut(HEADER_LEN);
+    first.copy_from_slice(&header);
+    file.read_exact(rest).map_err(unreadable)?;
     Pack::from_buffer(buffer).map_err(|e| e.to_string())
 }
 

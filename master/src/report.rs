@@ -45,6 +45,8 @@ pub struct RenderReport {
     pub bytes_pack: u64,
     /// Rays of the image by kind.
     pub rays: Rays,
+    /// Rendered tiles that came twice or too late, and were dropped: after a worker was lost.
+    pub dropped_tiles: u64,
     /// What was left out, and why.
     pub left_out: Vec<LeftOutLine>,
     /// What was read but not understood, or mended.
@@ -172,7 +174,7 @@ impl RenderReport {
             out,
             image_hash: hash.to_string(),
             format: job.format.name(),
-            pack_id: tessera_wire::PackId(result.pack.0).to_string(),
+            pack_id: result.pack.to_string(),
             numeric_class: result.numeric_class.clone(),
             size: [job.width, job.height],
             tile: job.tile,
@@ -209,6 +211,7 @@ impl RenderReport {
                 reflection: result.rays.reflection,
                 refraction: result.rays.refraction,
             },
+            dropped_tiles: result.dropped_tiles,
             left_out: prepared.left_out.iter().map(LeftOutLine::from).collect(),
             warnings: prepared.warnings.clone(),
             notes: prepared.notes.clone(),

@@ -9,7 +9,7 @@ use std::time::Instant;
 use tessera_kdtree::{BuildOptions, Tree, Triangles, build::TreeStats};
 use tessera_master::prepare::Prepared;
 use tessera_master::report::LeftOutLine;
-use tessera_pack::Pack;
+use tessera_pack::{Pack, format::Section};
 use tessera_quantize::sizes;
 
 /// What to look into.
@@ -207,25 +207,31 @@ impl From<TreeStats> for Nodes {
 }
 
 /// Sections that make up the mesh; the cell table is counted with the tables.
-const MESH_SECTIONS: [&str; 9] =
-    ["records", "position", "normal", "uv", "side-uv", "color", "face", "matrun", "idrun"];
-const TEXTURE_SECTIONS: [&str; 2] = ["texture", "texel"];
+const MESH_SECTIONS: [Section; 9] = [
+    Section::Records,
+    Section::Positions,
+    Section::Normals,
+    Section::Uvs,
+    Section::SideUvs,
+    Section::Colors,
+    Section::Faces,
+    Section::MaterialRuns,
+    Section::IdRuns,
+];
+const TEXTURE_SECTIONS: [Section; 2] = [Section::Textures, Section::Texels];
 /// 65,536 unit vectors of 3 x `f32`: a constant, computed by whoever decodes normals, so it is in no file.
 const NORMAL_TABLE: u64 = 12 << 16;
 
 impl Info {
     fn new(prepared: Prepared, trees: [TreeLine; 3]) -> Self {
         let Prepared { name, pack, cameras, source, left_out, warnings, notes, timings } = prepared;
-        let sections = pack.section_sizes();
-        let bytes_of = |names: &[&str]| -> u64 {
-            sections.iter().filter(|(name, _)| names.contains(name)).map(|(_, bytes)| bytes).sum()
-        };
+        let bytes_of = |sections: &[Section]| sections.iter().map(|&s| pack.section_bytes(s)).sum::<u64>();
         let (nv, nf) = (u64::from(pack.vertex_count()), u64::from(pack.triangle_count()));
         let mesh = pack.mesh();
         let has = |part: bool, bytes: u64| if part { bytes } else { 0 };
         let vertex_bytes =
             12 + has(mesh.has_normals(), 12) + has(mesh.has_uvs(), 8) + has(mesh.has_colors(), 4);
-        let quantised_normals = mesh.has_normals() && bytes_of(&["normal"]) == 0;
+        let quantised_normals = mesh.has_normals() && pack.section_bytes(Section::Normals) == 0;
         let head = pack.head();
         let [nx, ny, nz] = head.cells;
         let mut dropped = BTreeMap::new();
@@ -239,7 +245,7 @@ impl Info {
         };
         Self {
             scene: name,
-            pack_id: tessera_wire::PackId(pack.id().0).to_string(),
+            pack_id: pack.id().to_string(),
             triangles: source.as_ref().map_or(nf, |s| s.stats.triangles_in),
             vertices: source.as_ref().map_or(nv, |s| s.stats.vertices_in),
             triangles_packed: nf,
@@ -257,7 +263,7 @@ impl Info {
                 nx,
                 ny,
                 nz,
-                cells: bytes_of(&["cells"]) / if nx.max(ny).max(nz) <= 1024 { 4 } else { 8 },
+                cells: pack.cell_count(),
                 step: head.step,
                 precision: 1.0 / (1024.0 * f64::from(nx.max(ny).max(nz))),
             },
@@ -265,7 +271,7 @@ impl Info {
             bytes: Bytes {
                 mesh_plain: vertex_bytes * nv + 12 * nf,
                 mesh_packed: bytes_of(&MESH_SECTIONS),
-                tables: bytes_of(&["cells"]) + has(quantised_normals, NORMAL_TABLE),
+                tables: pack.section_bytes(Section::Cells) + has(quantised_normals, NORMAL_TABLE),
                 textures: bytes_of(&TEXTURE_SECTIONS),
                 tree_standard: trees[0].bytes,
                 tree_one_ref: trees[1].bytes,
@@ -278,7 +284,7 @@ impl Info {
                 mesh_packed: sizes::quantised_mesh_without_tables(nv, nf),
                 mesh_packed_with_tables: sizes::quantised_mesh(nv, nf),
             },
-            sections: sections.into_iter().collect(),
+            sections: pack.section_sizes().into_iter().collect(),
             sections_left_out: stats
                 .left_out
                 .iter()

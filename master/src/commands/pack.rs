@@ -51,7 +51,7 @@ pub fn run(args: PackArgs, progress: &Progress) -> Result<(), CommandError> {
     let report = PackReport {
         scene: &prepared.name,
         out: &args.out,
-        pack_id: tessera_wire::PackId(prepared.pack.id().0).to_string(),
+        pack_id: prepared.pack.id().to_string(),
         bytes: prepared.pack.bytes().len() as u64,
         left_out: &left_out,
         warnings: &prepared.warnings,

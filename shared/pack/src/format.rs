@@ -146,6 +146,26 @@ impl Head {
     pub const HAS_NORMALS: u32 = 1;
 }
 
+/// Checks what the first [`HEADER_LEN`] bytes of a file of `length` bytes claim: signature, version and length. Refuses most of what
+/// is not a pack before memory for the whole is reserved.
+pub fn check_header(first: &[u8], length: u64) -> Result<(), PackError> {
+    if first.get(..8) != Some(MAGIC.as_slice()) {
+        return Err(PackError::NotAPack);
+    }
+    let Some(header) = first.get(..HEADER_LEN) else {
+        return Err(PackError::Truncated { expected: HEADER_LEN as u64, found: first.len() as u64 });
+    };
+    let version = bytemuck::pod_read_unaligned::<u32>(&header[8..12]);
+    if version != VERSION {
+        return Err(PackError::Version { found: version });
+    }
+    let expected = bytemuck::pod_read_unaligned::<u64>(&header[16..24]);
+    if expected != length {
+        return Err(PackError::Truncated { expected, found: length });
+    }
+    Ok(())
+}
+
 /// Where each section lies; an empty range when it is absent.
 #[derive(Clone, Debug)]
 pub(crate) struct Layout {
@@ -159,22 +179,12 @@ impl Layout {
 
     /// Reads header and section table and checks everything but what is inside the sections.
     pub(crate) fn read(bytes: &[u8]) -> Result<Self, PackError> {
-        if bytes.get(..8) != Some(MAGIC.as_slice()) {
-            return Err(PackError::NotAPack);
-        }
-        let Some(header) = bytes.get(..HEADER_LEN) else {
-            return Err(PackError::Truncated { expected: HEADER_LEN as u64, found: bytes.len() as u64 });
-        };
+        check_header(bytes, bytes.len() as u64)?;
+        let header = &bytes[..HEADER_LEN];
         let word = |at: usize| bytemuck::pod_read_unaligned::<u32>(&header[at..at + 4]);
         let long = |at: usize| bytemuck::pod_read_unaligned::<u64>(&header[at..at + 8]);
         let malformed =
             |offset: u64, what: &str| PackError::Malformed { section: "header", offset, what: what.into() };
-        if word(8) != VERSION {
-            return Err(PackError::Version { found: word(8) });
-        }
-        if long(16) != bytes.len() as u64 {
-            return Err(PackError::Truncated { expected: long(16), found: bytes.len() as u64 });
-        }
         if long(24) != 0 {
             return Err(malformed(24, "reserved bytes are not zero"));
         }

@@ -6,7 +6,7 @@ use crate::records::{Camera, Environment, Light, Material, SideUv, Texture};
 use crate::rules::{
     ambient_fault, camera_fault, environment_fault, is_unit, light_fault, material_fault, texture_fault,
 };
-use crate::view::{MeshView, cells_are_wide, narrow_cell, wide_cell};
+use crate::view::{MeshView, cell_bytes, cells_are_wide, narrow_cell, wide_cell};
 use bytemuck::Pod;
 use rayon::prelude::*;
 use tessera_geometry::{Aabb, Vec3};
@@ -173,8 +173,7 @@ fn check_cells(file: &File<'_>, head: &Head) -> Result<(), PackError> {
 
 fn check_vertices(file: &File<'_>, head: &Head, mesh: &MeshView<'_>) -> Result<(), PackError> {
     let positions: &[[f32; 3]] = file.elements(Section::Positions)?;
-    let cell_bytes = if cells_are_wide(head.cells) { 8 } else { 4 };
-    let cells = file.section(Section::Cells).len() / cell_bytes;
+    let cells = file.section(Section::Cells).len() / cell_bytes(head.cells);
     let plain_normals = !file.section(Section::Normals).is_empty();
     if head.record_words > 0 {
         let rule = |vertex: u32| {

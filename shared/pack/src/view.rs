@@ -154,13 +154,20 @@ impl Pack {
         self.slice(Section::Environment).first().copied().unwrap_or_default()
     }
 
+    /// Cells of the table, those that hold a vertex: 0 when positions are plain.
+    pub fn cell_count(&self) -> u64 {
+        self.section_bytes(Section::Cells) / cell_bytes(self.inner.head.cells) as u64
+    }
+
+    /// Bytes of a section; 0 when it is absent.
+    pub fn section_bytes(&self, section: Section) -> u64 {
+        self.inner.layout.range(section).len() as u64
+    }
+
     /// Bytes of each section that is present, in file order.
     pub fn section_sizes(&self) -> Vec<(&'static str, u64)> {
-        Section::ALL
-            .iter()
-            .map(|&s| (s.name(), self.inner.layout.range(s).len() as u64))
-            .filter(|&(_, length)| length > 0)
-            .collect()
+        let sizes = Section::ALL.iter().map(|&s| (s.name(), self.section_bytes(s)));
+        sizes.filter(|&(_, length)| length > 0).collect()
     }
 
     fn slice<T: Pod>(&self, section: Section) -> &[T] {
@@ -214,6 +221,11 @@ fn elements<T: Pod>(bytes: &[u8]) -> &[T] {
 /// Whether the cell table has `u64` entries.
 pub(crate) fn cells_are_wide(cells: [u32; 3]) -> bool {
     cells.iter().any(|&n| n > PAPER_INTERVALS)
+}
+
+/// Bytes of a cell in the table of such a grid.
+pub(crate) fn cell_bytes(cells: [u32; 3]) -> usize {
+    if cells_are_wide(cells) { size_of::<u64>() } else { size_of::<u32>() }
 }
 
 #[inline]

@@ -16,6 +16,22 @@ pub struct Without {
     pub refraction: bool,
 }
 
+impl Without {
+    /// The kinds of rays that are not traced: nothing of them is in a pack.
+    pub fn rays_left_out(self) -> Vec<LeftOut> {
+        let kinds = [
+            (self.shadows, "shadow rays"),
+            (self.reflection, "reflection rays"),
+            (self.refraction, "refraction rays"),
+        ];
+        let left_out = kinds.into_iter().filter(|(is_left_out, _)| *is_left_out);
+        left_out.map(|(_, what)| LeftOut { what: what.into(), why: ASKED.into(), bytes: 0 }).collect()
+    }
+}
+
+/// Why something that the user asked to leave out is left out.
+const ASKED: &str = "asked for with --without";
+
 /// One thing that was left out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LeftOut {
@@ -66,15 +82,7 @@ impl Selection {
         selection.left_out_materials(scene);
         selection.select_images(scene, flat, without);
         selection.select_arrays(flat, without);
-        for (is_left_out, what) in [
-            (without.shadows, "shadow rays"),
-            (without.reflection, "reflection rays"),
-            (without.refraction, "refraction rays"),
-        ] {
-            if is_left_out {
-                selection.leave_out(what, "asked for with --without", 0);
-            }
-        }
+        selection.left_out.extend(without.rays_left_out());
         selection
     }
 
@@ -100,7 +108,7 @@ impl Selection {
         let is_on_a_surface = is_used.contains(&true);
         let mut why = "no kept material samples them with effect";
         if without.textures {
-            why = "asked for with --without";
+            why = ASKED;
             is_used.fill(false);
         } else if is_on_a_surface && flat.uvs.is_empty() {
             why = "no vertex has texture coordinates";
@@ -124,8 +132,7 @@ impl Selection {
 
     fn select_arrays(&mut self, flat: &FlatMesh, without: Without) {
         if !flat.uvs.is_empty() && !self.uvs {
-            let why =
-                if without.textures { "asked for with --without" } else { "no kept material has a texture" };
+            let why = if without.textures { ASKED } else { "no kept material has a texture" };
             self.leave_out("texture coordinates", why, size_of_val(flat.uvs.as_slice()) as u64);
         }
         self.normals = has_smooth_normals(flat);
