@@ -48,6 +48,14 @@ fn wrong_usage_is_exit_code_2_and_one_line() {
     check(&render(&["--eye", "1,1,1", "--target", "1,1,1", "--fov", "60"]), &["camera"]);
     check(&render(&["--eye", "0,5,0", "--target", "0,0,0", "--fov", "60"]), &["camera", "up"]);
     check(&render(&["--camera", "north"]), &["no camera `north`", "default"]);
+    check(&render(&["--size", "8192x8192", "--tile", "8192"]), &["tile of", "choose smaller tiles"]);
+    check(
+        &["render", "a.ply", "--out", "a.exr", "--size", "2048x2048", "--tile", "2048"],
+        &["smaller tiles"],
+    );
+    check(&["render", "a.ply", "--out", "a.exr", "--bits", "16"], &["a.exr", "--bits is for PNG files"]);
+    check(&render(&["--report", "a.png"]), &["--report", "a.png", "the picture"]);
+    check(&render(&["--report", "./a.ply"]), &["--report", "a.ply", "the scene"]);
     check(&["render", "a.ply", "--out", "a.jpg"], &["a.jpg", ".png or .exr"]);
     check(&["scene", "pack", "a.ply", "--out", "a.zip"], &["a.zip", ".tpack"]);
 }
@@ -130,12 +138,52 @@ fn a_bundle_that_was_touched_is_refused() {
     let mut flipped = bytes.clone();
     *flipped.last_mut().unwrap() ^= 1;
     check(&flipped, &["damaged"]);
+    // A length is believed only of what begins like a pack, and only the file's own.
+    let sparse = |first: &[u8], says: &[&str]| {
+        let path = folder.write("b.tpack", first);
+        fs::File::options().write(true).open(&path).unwrap().set_len(1 << 40).unwrap();
+        let render = ["render", "b.tpack", "--out", "b.png"];
+        Tessera::new(render).within(folder.path()).run().fails(1, &[&["b.tpack"], says].concat());
+    };
+    sparse(b"", &["not a pack"]);
+    sparse(&bytes[..64], &["truncated or continued"]);
     for flags in [&["--refs", "1"][..], &["--plain"], &["--without", "textures"]] {
         Tessera::new(["render", "a.tpack", "--out", "b.png"])
             .args(flags)
             .within(folder.path())
             .run()
             .fails(2, &["a.tpack", flags[0], "pack the scene again"]);
+    }
+}
+
+#[test]
+fn a_bundle_says_which_rays_are_left_out() {
+    let folder = Folder::new();
+    folder.write("a.ply", PLY);
+    Tessera::new(["scene", "pack", "a.ply", "--out", "a.tpack"]).within(folder.path()).run().ok();
+    for scene in ["a.ply", "a.tpack"] {
+        let report = Tessera::new(["render", scene, "--out", "a.png", "--size", "8x8", "--json"])
+            .args(["--without", "shadows,refraction"])
+            .within(folder.path())
+            .run()
+            .json();
+        let left_out = report["left_out"].as_array().unwrap().iter();
+        let rays: Vec<_> =
+            left_out.map(|l| &l["what"]).filter(|w| w.as_str().unwrap().contains("rays")).collect();
+        assert_eq!(rays, ["shadow rays", "refraction rays"], "{scene}");
+    }
+}
+
+/// Opening a pipe that nobody writes to would block for ever.
+#[cfg(unix)]
+#[test]
+fn a_pipe_is_refused() {
+    let folder = Folder::new();
+    for name in ["pipe.tpack", "pipe.toml", "pipe.ply", "pipe.png"] {
+        let made = std::process::Command::new("mkfifo").arg(folder.file(name)).status();
+        assert!(made.expect("mkfifo runs").success());
+        let command = if name == "pipe.png" { ["compare", name, name] } else { ["scene", "info", name] };
+        Tessera::new(command).within(folder.path()).run().fails(1, &[name, "not a regular file"]);
     }
 }
 
@@ -175,6 +223,7 @@ fn reports_are_one_json_object_with_the_promised_keys() {
             "rays.shadow",
             "rays.reflection",
             "rays.refraction",
+            "dropped_tiles",
         ],
     );
     has(&render["workers"][0], &["name", "tiles", "render_ms", "bytes_returned"]);
@@ -215,6 +264,26 @@ fn reports_are_one_json_object_with_the_promised_keys() {
         ],
     );
     assert_eq!((&info["triangles"], &info["vertices"]), (&2.into(), &5.into()));
+    let number = |path: &[&str]| {
+        let found = path.iter().fold(&info, |value, key| &value[key]);
+        found.as_u64().unwrap_or_else(|| panic!("{path:?} is no number: {found}"))
+    };
+    // One corner is shared at most: between one cell and one for each vertex.
+    assert!((1..=5).contains(&number(&["grid", "cells"])), "{info}");
+    let section = |name| number(&["sections", name]);
+    assert_eq!(number(&["bytes", "tables"]), section("cells"), "flat: no table of normals");
+    // 8 bytes a cell once an axis has more than 1,024 of them.
+    let axis = ["nx", "ny", "nz"].map(|n| number(&["grid", n])).into_iter().max().unwrap();
+    assert_eq!(section("cells"), if axis > 1024 { 8 } else { 4 } * number(&["grid", "cells"]));
+    let mesh = section("records") + section("face") + section("matrun") + section("idrun");
+    assert_eq!(number(&["bytes", "mesh_packed"]), mesh);
+    // Two triangles: positions of 12 bytes, indices of 12.
+    assert_eq!(number(&["bytes", "mesh_plain"]), 5 * 12 + 2 * 12);
+    for (i, name) in ["tree_standard", "tree_one_ref", "tree_two_refs"].into_iter().enumerate() {
+        assert!(number(&["bytes", name]) > 0, "{name}");
+        let tree = &info["trees"][i];
+        assert_eq!((&tree["refs"], &tree["bytes"]), (&i.into(), &tree["bytes_formula"]), "{name}");
+    }
 
     Tessera::new(["render", "a.ply", "--out", "b.png", "--size", "20x10", "--without", "shadows"])
         .within(folder.path())

@@ -68,6 +68,16 @@ impl OutputFile {
         &self.path
     }
 
+    /// Whether `other` names the same file: the same name in the same folder, both with links followed as far as they exist.
+    pub fn is_at(&self, other: &Path) -> bool {
+        let place = |path: &Path| {
+            fs::canonicalize(path)
+                .ok()
+                .or_else(|| Some(fs::canonicalize(folder_of(path)).ok()?.join(path.file_name()?)))
+        };
+        place(&self.path).is_some_and(|own| place(other) == Some(own))
+    }
+
     /// Writes the file with `fill` and puts it in place.
     pub fn write<E>(
         &self,
@@ -173,7 +183,8 @@ fn plain(error: io::Error) -> io::Error {
     }
 }
 
-fn one_line(text: &str) -> String {
+/// Text on one line, so that an error is one line whatever it is made of.
+pub fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
@@ -227,6 +238,19 @@ mod tests {
         check(Path::new("/"), "does not name a file");
         #[cfg(unix)]
         check(Path::new("/dev/null"), "not a plain file");
+    }
+
+    #[test]
+    fn one_place_has_many_names() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join("b")).unwrap();
+        let out = OutputFile::check(&folder.path().join("a.png")).unwrap();
+        for exists in [false, true] {
+            assert!(out.is_at(&folder.path().join("b/../a.png")), "{exists}");
+            assert!(!out.is_at(&folder.path().join("b/a.png")), "{exists}");
+            assert!(!out.is_at(&folder.path().join("none/a.png")), "{exists}");
+            out.write_bytes(b"now it does").unwrap();
+        }
     }
 
     #[cfg(unix)]

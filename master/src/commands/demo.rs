@@ -33,7 +33,7 @@ pub struct DemoArgs {
 }
 
 pub fn run(args: DemoArgs, progress: &Progress) -> Result<(), CommandError> {
-    let plan = Plan::check(&args.out, args.workers, &args.frame, &args.packing)?;
+    let plan = Plan::check(&args.out, None, args.workers, &args.frame, &args.packing)?;
     let prepared = {
         let _bar = progress.step("preparing the built-in scene");
         let start = Instant::now();

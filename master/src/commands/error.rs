@@ -1,6 +1,7 @@
 //! What a command ends with when it does not succeed.
 
 use std::fmt::Display;
+pub use tessera_master::output::one_line;
 
 /// A failure, as the user sees it: one line and an exit code.
 #[derive(Debug, thiserror::Error)]
@@ -35,9 +36,4 @@ impl CommandError {
             Self::Interrupted => 130,
         }
     }
-}
-
-/// Text on one line, so that an error is one line whatever it is made of.
-pub fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -12,7 +12,7 @@ use tessera_geometry::{CameraPose, DVec3};
 use tessera_master::prepare::{Prepared, choose_camera};
 use tessera_master::report::{CameraReport, RenderFacts, RenderReport};
 use tessera_master::{Balance, FrameJob, OutputFile, PixelFormat};
-use tessera_wire::{Features, TileGrid, limits};
+use tessera_wire::{Features, FrameError, TileGrid, limits};
 
 /// What to render, and how.
 #[derive(Debug, Args)]
@@ -56,9 +56,9 @@ pub struct FrameArgs {
     #[arg(long, value_name = "N", default_value_t = 8, help_heading = "Image")]
     #[arg(value_parser = clap::value_parser!(u32).range(0..=i64::from(limits::DEPTH)))]
     depth: u32,
-    /// Bits a channel of a PNG file
-    #[arg(long, value_enum, default_value_t, help_heading = "Image")]
-    bits: Bits,
+    /// Bits a channel of a PNG file [default: 8]
+    #[arg(long, value_enum, help_heading = "Image")]
+    bits: Option<Bits>,
     /// A camera of the scene [default: its first; if the scene has none, one that frames the scene's box]
     #[arg(long, value_name = "NAME", help_heading = "Camera")]
     #[arg(conflicts_with_all = ["eye", "target", "up", "fov"])]
@@ -102,9 +102,8 @@ pub struct FrameArgs {
 }
 
 /// Bits a channel of a PNG file.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Bits {
-    #[default]
     #[value(name = "8")]
     Eight,
     #[value(name = "16")]
@@ -113,7 +112,7 @@ enum Bits {
 
 pub fn run(args: RenderArgs, progress: &Progress) -> Result<(), CommandError> {
     let RenderArgs { scene, out, workers, frame } = args;
-    let plan = Plan::check(&out, workers, &frame, &scene.packing)?;
+    let plan = Plan::check(&out, Some(&scene.scene), workers, &frame, &scene.packing)?;
     let prepared = prepare_scene(&scene.scene, &scene.packing, progress)?;
     plan.render(&prepared, progress)
 }
@@ -129,15 +128,21 @@ pub struct Plan<'a> {
 }
 
 impl<'a> Plan<'a> {
-    /// Checks what can be checked before the scene is read.
+    /// Checks what can be checked before the scene, if it is a file, is read.
     pub fn check(
         out: &Path,
+        scene: Option<&Path>,
         workers: u32,
         args: &'a FrameArgs,
         packing: &PackingArgs,
     ) -> Result<Self, CommandError> {
         let format = pixel_format(out, args.bits)?;
-        TileGrid::new(args.size.width, args.size.height, args.tile).map_err(CommandError::usage)?;
+        let grid =
+            TileGrid::new(args.size.width, args.size.height, args.tile).map_err(CommandError::usage)?;
+        let bytes = grid.largest_tile_pixels() * format.bytes_per_pixel() as u64;
+        if bytes > limits::TILE_BYTES {
+            return Err(CommandError::usage(FrameError::TileBytes { bytes }));
+        }
         let without = packing.without();
         let features = Features {
             shadows: !without.shadows,
@@ -145,14 +150,19 @@ impl<'a> Plan<'a> {
             refraction: !without.refraction,
         };
         let report = args.report.as_deref().map(OutputFile::check).transpose();
-        Ok(Self {
-            out: OutputFile::check(out).map_err(CommandError::failed)?,
-            report: report.map_err(CommandError::failed)?,
-            format,
-            features,
-            workers,
-            args,
-        })
+        let report = report.map_err(CommandError::failed)?;
+        let out = OutputFile::check(out).map_err(CommandError::failed)?;
+        if let Some(report) = &report {
+            for (other, what) in [(Some(out.path()), "the picture"), (scene, "the scene")] {
+                if other.is_some_and(|other| report.is_at(other)) {
+                    return Err(CommandError::Usage(format!(
+                        "--report {}: this is the file of {what}; name another",
+                        report.path().display()
+                    )));
+                }
+            }
+        }
+        Ok(Self { out, report, format, features, workers, args })
     }
 
     /// Renders, writes the files and says what was done.
@@ -211,12 +221,16 @@ impl FrameArgs {
     }
 }
 
-fn pixel_format(out: &Path, bits: Bits) -> Result<PixelFormat, CommandError> {
+fn pixel_format(out: &Path, bits: Option<Bits>) -> Result<PixelFormat, CommandError> {
     let extension = out.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
     match (extension.as_str(), bits) {
-        ("png", Bits::Eight) => Ok(PixelFormat::Rgba8),
-        ("png", Bits::Sixteen) => Ok(PixelFormat::Rgba16),
-        ("exr", _) => Ok(PixelFormat::Layers),
+        ("png", None | Some(Bits::Eight)) => Ok(PixelFormat::Rgba8),
+        ("png", Some(Bits::Sixteen)) => Ok(PixelFormat::Rgba16),
+        ("exr", None) => Ok(PixelFormat::Layers),
+        ("exr", Some(_)) => Err(CommandError::Usage(format!(
+            "--out {}: --bits is for PNG files, an EXR file holds 32 bits a channel; leave it out",
+            out.display()
+        ))),
         _ => Err(CommandError::Usage(format!(
             "--out {}: unknown picture format; name the file .png or .exr",
             out.display()
