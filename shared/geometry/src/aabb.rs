@@ -10,18 +10,12 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    /// The box that holds nothing; the identity of [`Aabb::union`].
+    /// The box that holds nothing.
     pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
 
     /// The smallest box around `points`.
     pub fn around(points: impl IntoIterator<Item = Vec3>) -> Self {
         points.into_iter().fold(Self::EMPTY, |b, p| Self { min: b.min.min(p), max: b.max.max(p) })
-    }
-
-    /// The smallest box around both.
-    #[must_use]
-    pub fn union(self, other: Self) -> Self {
-        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
     /// Whether no point lies inside.
@@ -32,15 +26,6 @@ impl Aabb {
     /// Edge lengths; meaningless for an empty box.
     pub fn extent(&self) -> Vec3 {
         self.max - self.min
-    }
-
-    /// Surface area; 0 for an empty box.
-    pub fn area(&self) -> f32 {
-        if self.is_empty() {
-            return 0.0;
-        }
-        let e = self.extent();
-        2.0 * (e.x * e.y + e.y * e.z + e.z * e.x)
     }
 
     /// The part `[t0, t1]` of `[ray.t_min, ray.t_max]` inside the box, or `None` when the ray misses it.
@@ -99,13 +84,9 @@ mod tests {
     }
 
     #[test]
-    fn flat_and_empty_boxes_have_their_area_and_emptiness() {
-        assert_eq!(CUBE.area(), 24.0);
+    fn flat_boxes_are_not_empty() {
         let flat = Aabb { min: Vec3::ZERO, max: Vec3::new(2.0, 3.0, 0.0) };
-        assert_eq!(flat.area(), 12.0);
         assert!(!flat.is_empty() && Aabb::EMPTY.is_empty());
-        assert_eq!(Aabb::EMPTY.area(), 0.0);
-        assert_eq!(Aabb::EMPTY.union(flat), flat);
         assert_eq!(Aabb::around([Vec3::ZERO, Vec3::new(2.0, 3.0, 0.0)]), flat);
     }
 }

@@ -16,6 +16,15 @@ pub struct LocalFrame {
 }
 
 impl LocalFrame {
+    /// Voxels along the side of a cell.
+    pub const VOXELS_PER_CELL: u32 = 1024;
+
+    /// The frame of a grid whose low corner is `anchor`, of voxels of side `step` and so many `cells` an axis.
+    pub fn of_grid(anchor: [f64; 3], step: f64, cells: [u32; 3]) -> Self {
+        let centre = DVec3::from_array(cells.map(|n| f64::from(n) * f64::from(Self::VOXELS_PER_CELL / 2)));
+        Self { anchor: DVec3::from_array(anchor), step, centre }
+    }
+
     /// A world position in local units, rounded to `f32` once.
     pub fn to_local(&self, world: DVec3) -> Vec3 {
         ((world - self.anchor) / self.step - self.centre).as_vec3()
@@ -33,7 +42,9 @@ mod tests {
 
     /// 991 x 610 x 415 cells, as the paper's Sponza.
     fn frame(anchor: DVec3, step: f64) -> LocalFrame {
-        LocalFrame { anchor, step, centre: DVec3::new(991.0, 610.0, 415.0) * 512.0 }
+        let frame = LocalFrame::of_grid(anchor.to_array(), step, [991, 610, 415]);
+        assert_eq!(frame.centre, DVec3::new(991.0, 610.0, 415.0) * 512.0);
+        frame
     }
 
     #[test]

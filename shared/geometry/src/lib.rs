@@ -1,4 +1,4 @@
-//! Vectors, boxes, rays, the camera and the watertight ray/triangle test.
+//! Vectors, boxes, rays, the camera, the watertight ray/triangle test and the curve of sRGB.
 //!
 //! Everything here works in **local space**: voxel units relative to the centre of the scene's grid, where every
 //! decoded vertex is exact in `f32`. Only [`frame::LocalFrame`] knows how local and world space relate.
@@ -10,6 +10,7 @@ pub mod camera;
 pub mod frame;
 pub mod ray;
 pub mod rounding;
+mod srgb;
 pub mod triangle;
 
 pub use aabb::Aabb;
@@ -17,3 +18,4 @@ pub use camera::{CameraPose, LocalCamera};
 pub use frame::LocalFrame;
 pub use glam::{DVec3, Vec2, Vec3};
 pub use ray::{Hit, Ray};
+pub use srgb::linear_from_srgb;

@@ -176,7 +176,8 @@ enum Part {
 }
 
 impl<V: Fn(u32) -> [Vec3; 3] + Sync> Builder<'_, V> {
-    /// Splits large cells in parallel down to pieces.
+    /// Splits large cells down to pieces. One cell is swept by one thread, axis after axis; what runs in parallel are the subtrees
+    /// behind a split, so that the first few levels of a large scene keep few threads busy.
     fn grow(&self, set: Set, cell: Cell, depth: u32) -> Part {
         let mut shop = Workshop::default();
         if set.len() > PIECE_TRIANGLES

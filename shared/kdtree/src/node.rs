@@ -53,7 +53,7 @@ pub const MAX_NODE_REFS: u32 = 2;
 pub const MAX_SLOTS: usize = 1 << 28;
 
 /// Triangles that the 30 bits of a leaf's count can state.
-pub const MAX_LEAF_TRIANGLES: u32 = (1 << 30) - 1;
+pub(crate) const MAX_LEAF_TRIANGLES: u32 = (1 << 30) - 1;
 
 const KIND_MASK: u32 = 3;
 const LEAF: u32 = 3;

@@ -1,17 +1,12 @@
 //! sRGB coding.
 
 use std::sync::OnceLock;
+use tessera_geometry::linear_from_srgb;
 
 /// Linear values of the 256 codes of sRGB (IEC 61966-2-1), computed in `f64` and rounded once.
 pub fn srgb8_to_linear_table() -> &'static [f32; 256] {
     static TABLE: OnceLock<[f32; 256]> = OnceLock::new();
-    TABLE.get_or_init(|| {
-        std::array::from_fn(|code| {
-            let c = code as f64 / 255.0;
-            let linear = if c <= 0.04045 { c / 12.92 } else { libm::pow((c + 0.055) / 1.055, 2.4) };
-            linear as f32
-        })
-    })
+    TABLE.get_or_init(|| std::array::from_fn(|code| linear_from_srgb(code as f64 / 255.0) as f32))
 }
 
 #[cfg(test)]

@@ -4,13 +4,13 @@
 //!
 //! | bytes | what |
 //! |---|---|
-//! | 0..8 | [`MAGIC`] |
+//! | 0..8 | `tpack`, CR LF, ^Z |
 //! | 8..12 | [`VERSION`] |
 //! | 12..16 | number of sections |
 //! | 16..24 | length of the file |
 //! | 24..32 | 0 |
 //! | 32..64 | BLAKE3 of bytes 0..32 and 64.. : the pack's id |
-//! | 64.. | section table: [`Entry`] each, ascending by section and by offset |
+//! | 64.. | section table: name, offset and length of each (8 bytes, `u64`, `u64`), ascending by section and by offset |
 //!
 //! Sections begin at multiples of 64 with zero bytes between them; the last one ends the file. A section that a scene does not
 //! need is absent, and an empty one is never stored. Two packs with the same content are the same bytes.
@@ -26,7 +26,7 @@ use std::ops::Range;
 compile_error!("packs are read in place and little endian: big-endian targets are not supported");
 
 /// First bytes of a pack; CR LF and ^Z show a transfer that took it for text.
-pub const MAGIC: [u8; 8] = *b"tpack\r\n\x1a";
+const MAGIC: [u8; 8] = *b"tpack\r\n\x1a";
 /// Version of the format. Raise it with every change of a section's meaning.
 pub const VERSION: u32 = 1;
 /// Bytes before the section table.
@@ -98,13 +98,13 @@ sections! {
 /// A line of the section table.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
-pub struct Entry {
+struct Entry {
     /// [`Section::name`], padded with zeros.
-    pub tag: [u8; 8],
+    tag: [u8; 8],
     /// First byte in the file, a multiple of 64.
-    pub offset: u64,
+    offset: u64,
     /// Bytes, > 0.
-    pub length: u64,
+    length: u64,
 }
 
 const _: () = assert!(size_of::<Entry>() == 24);

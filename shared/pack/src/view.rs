@@ -9,7 +9,7 @@ use crate::validate::validate;
 use bytemuck::Pod;
 use std::fmt;
 use std::sync::Arc;
-use tessera_geometry::{Aabb, DVec3, LocalFrame, Vec2, Vec3};
+use tessera_geometry::{Aabb, LocalFrame, Vec2, Vec3};
 use tessera_kdtree::TreeView;
 use tessera_quantize::grid::{PAPER_INTERVALS, VOXELS_PER_CELL};
 use tessera_quantize::{NormalTable, Record};
@@ -71,11 +71,7 @@ impl Pack {
     /// World to local.
     pub fn frame(&self) -> LocalFrame {
         let Head { anchor, step, cells, .. } = self.inner.head;
-        LocalFrame {
-            anchor: DVec3::from_array(anchor),
-            step,
-            centre: DVec3::from_array(cells.map(|n| f64::from(n * (VOXELS_PER_CELL / 2)))),
-        }
+        LocalFrame::of_grid(anchor, step, cells)
     }
 
     /// Numbers of the header: grid, counts, root box.

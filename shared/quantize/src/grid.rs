@@ -4,10 +4,10 @@
 //! up, so cells that triangles merely pass through are not needed. (The paper speaks of cells that triangles intersect, but its
 //! own table of resolutions rules that reading out: one full floor of its Sponza would take 604,510 cells.)
 
-use tessera_geometry::{DVec3, LocalFrame};
+use tessera_geometry::LocalFrame;
 
 /// Voxels along a cell's side.
-pub const VOXELS_PER_CELL: u32 = 1024;
+pub const VOXELS_PER_CELL: u32 = LocalFrame::VOXELS_PER_CELL;
 /// Cells that a 16-bit index can name.
 pub const MAX_CELLS: usize = 1 << 16;
 /// Coarsest grid tried; 32^3 = 32,768 cells always fit the index.
@@ -107,11 +107,7 @@ impl Grid {
 
     /// Grid and local space.
     pub fn frame(&self) -> LocalFrame {
-        LocalFrame {
-            anchor: DVec3::from_array(self.anchor),
-            step: self.step,
-            centre: DVec3::from_array(self.cells.map(|n| f64::from(n * (VOXELS_PER_CELL / 2)))),
-        }
+        LocalFrame::of_grid(self.anchor, self.step, self.cells)
     }
 
     /// The voxel that holds `position` (finite). Cells and voxels are half open: a point on an inner border belongs to the

@@ -2,7 +2,7 @@
 //! spherical coordinates", Computers & Graphics 36).
 //!
 //! 227 rings at equal polar steps around the z axis, each with its own number of equally spaced azimuths, chosen so that no
-//! direction is farther than [`BOUND_RADIANS`] from an entry. Two departures from the paper:
+//! direction is farther than `BOUND_RADIANS` = 0.0098165 from an entry. Two departures from the paper:
 //! - the budget is 65,535 entries instead of 65,536, so that [`NO_NORMAL`] can mean 'none';
 //! - the equator ring has 456 entries instead of 454, a multiple of 4, so that all six axes are entries, and they are stored
 //!   exactly. Without it +y and -y would be 0.396 degrees off, which tilts every mirror floor of a y-up scene.
@@ -20,7 +20,7 @@ pub const ENTRIES: usize = 65_534;
 ///
 /// The smallest bound whose entries fit the budget is 0.009816308 rad; this value lies in the middle of the range that gives
 /// the same counts, so that no entry count hangs on the last bit of an arc cosine.
-pub const BOUND_RADIANS: f64 = 0.009_816_5;
+pub(crate) const BOUND_RADIANS: f64 = 0.009_816_5;
 
 const RINGS: usize = 227;
 const EQUATOR: usize = RINGS / 2;

@@ -1,7 +1,7 @@
 //! The paper's size formulas (Seo, Park, Ihm 2022, section 3.1 and tables 1 and 3), for reports beside the sizes in fact.
 
 /// Bytes of the cell table (65,536 cells of 3 x 16 bits) and the normal table (65,536 normals of 3 x 32 bits).
-pub const TABLES: u64 = 18 << 16;
+const TABLES: u64 = 18 << 16;
 
 /// Bytes of an unquantised mesh: `32 nv + 12 nf + 8` (positions, normals and texture coordinates in `f32`; table 1).
 pub const fn plain_mesh(vertices: u64, triangles: u64) -> u64 {

@@ -22,10 +22,8 @@ use crate::grid::{VOXELS_PER_CELL, Voxel};
 
 /// Words of a record with texture coordinates.
 pub const WORDS_MAX: usize = 3;
-/// Words of a record without.
-pub const WORDS_MIN: usize = 2;
 /// Units of a packed texture coordinate in 1.0.
-pub const UV_UNITS: f32 = 32_768.0;
+const UV_UNITS: f32 = 32_768.0;
 
 const SIDE_UV_BIT: u32 = 1 << 30;
 

@@ -12,6 +12,7 @@ use crate::import::texels::code;
 use crate::{Mesh, Primitive};
 use glam::DVec3;
 use std::sync::LazyLock;
+use tessera_geometry::linear_from_srgb;
 
 /// Reads meshes and counts what they hold together.
 pub(super) struct MeshReader<'a> {
@@ -213,13 +214,7 @@ fn color_code(color: [f32; 4]) -> [u8; 4] {
 /// The sRGB code nearest to a linear value: the number of thresholds, halfway between codes, that it reaches.
 fn srgb_code(linear: f32) -> u8 {
     /// Linear values of the codes 0.5, 1.5, ... 254.5 (IEC 61966-2-1).
-    static THRESHOLDS: LazyLock<[f32; 255]> = LazyLock::new(|| {
-        std::array::from_fn(|code| {
-            let coded = (code as f64 + 0.5) / 255.0;
-            let linear =
-                if coded <= 0.04045 { coded / 12.92 } else { libm::pow((coded + 0.055) / 1.055, 2.4) };
-            linear as f32
-        })
-    });
+    static THRESHOLDS: LazyLock<[f32; 255]> =
+        LazyLock::new(|| std::array::from_fn(|code| linear_from_srgb((code as f64 + 0.5) / 255.0) as f32));
     THRESHOLDS.partition_point(|&threshold| threshold <= linear) as u8
 }
