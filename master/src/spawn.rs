@@ -26,6 +26,7 @@ pub(crate) fn tickets(
             address: address.to_string(),
             name,
             threads: threads.unwrap_or_else(|| fair_share(count)),
+            sharers: count,
             authority: authority.certificate().to_vec(),
             certificate: certificate.to_vec(),
             key,

@@ -13,5 +13,5 @@ mod serve;
 pub mod session;
 
 pub use local::{run_local, serve_ticket};
-pub use serve::{WorkerConfig, WorkerError, WorkerPipes, serve, serve_until};
+pub use serve::{WorkerConfig, WorkerError, WorkerPipes, serve};
 pub use tessera_whitted::NUMERIC_CLASS;

@@ -1,6 +1,10 @@
 //! A worker process that a master has started on its own machine.
 
-use crate::{WorkerConfig, WorkerError, net::connect, serve_until};
+use crate::{
+    WorkerConfig, WorkerError,
+    net::connect,
+    serve::{free_memory, serve_until},
+};
 use std::{io::Read, time::Duration};
 use tessera_wire::{
     LocalTicket,
@@ -31,7 +35,9 @@ pub async fn serve_ticket(ticket: LocalTicket, stop: impl Future<Output = ()>) -
         () = &mut stop => return Ok(()),
     };
     tracing::info!("{} is connected to {}", ticket.name, ticket.address);
-    let config = WorkerConfig { name: ticket.name, threads: ticket.threads, memory: None };
+    // Each of them holds a pack of its own, and none has one yet.
+    let memory = free_memory().map(|bytes| bytes / u64::from(ticket.sharers.max(1)));
+    let config = WorkerConfig { name: ticket.name, threads: ticket.threads, memory };
     let served = serve_until(connection.pipes, config, stop).await;
     connection.closer.close(served.is_ok()).await;
     served
@@ -99,6 +105,7 @@ mod tests {
             address: "127.0.0.1:1".into(),
             name: "w".into(),
             threads: 1,
+            sharers: 1,
             authority: vec![1],
             certificate: vec![2],
             key: vec![3],

@@ -80,7 +80,7 @@ pub async fn serve(pipes: WorkerPipes, config: WorkerConfig) -> Result<(), Worke
 }
 
 /// [`serve`], until `stop` is ready: then the worker leaves, and its unfinished tiles go to others.
-pub async fn serve_until(
+pub(crate) async fn serve_until(
     pipes: WorkerPipes,
     config: WorkerConfig,
     stop: impl Future<Output = ()>,
@@ -280,7 +280,11 @@ async fn read_packs(
     tell: mpsc::Sender<Event>,
 ) {
     while let Some((pack, length)) = wanted.recv().await {
-        let assembly = Assembly::new(pack, length);
+        // Gigabytes are zeroed here.
+        let assembly = tokio::task::spawn_blocking(move || Assembly::new(pack, length)).await;
+        let assembly = assembly.unwrap_or_else(|e| {
+            Err(PackRefusal::Transfer { detail: format!("making room for it failed: {e}") })
+        });
         let reserved = assembly.as_ref().map(|_| ()).map_err(Clone::clone);
         if tell.send(Event::PackReserved(pack, reserved)).await.is_err() {
             return;
@@ -308,7 +312,7 @@ fn ending_to_result(ending: Ending) -> Result<(), WorkerError> {
 }
 
 /// Memory that the system could give without swapping, where it says so (Linux).
-fn free_memory() -> Option<u64> {
+pub(crate) fn free_memory() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)

@@ -12,6 +12,8 @@ pub struct LocalTicket {
     pub name: String,
     /// Threads that render, >= 1.
     pub threads: u32,
+    /// Workers that share the machine's memory, this one included, >= 1.
+    pub sharers: u32,
     /// DER of the authority that signed the master's certificate.
     pub authority: Vec<u8>,
     /// DER of the worker's own certificate.

@@ -99,6 +99,7 @@ pub fn ticket() -> LocalTicket {
         address: "127.0.0.1:4433".into(),
         name: "local-0".into(),
         threads: 2,
+        sharers: 3,
         authority: vec![1, 2],
         certificate: vec![3],
         key: vec![4, 5, 6],
