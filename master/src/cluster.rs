@@ -218,11 +218,6 @@ impl Cluster {
         }
     }
 
-    /// Workers that have joined and are not gone.
-    pub fn workers(&self) -> usize {
-        self.coordinator.joined().count()
-    }
-
     /// Dismisses the workers and waits until local processes have ended (they are killed after two seconds).
     pub async fn stop(mut self) {
         const PATIENCE: Duration = Duration::from_secs(2);

@@ -6,7 +6,7 @@
 mod cluster;
 pub mod compare;
 pub mod coordinator;
-pub mod dispatch;
+mod dispatch;
 mod frame;
 pub mod image;
 mod input;
@@ -15,7 +15,7 @@ mod net;
 pub mod output;
 pub mod prepare;
 pub mod report;
-pub mod session;
+mod session;
 mod spawn;
 mod transport;
 

@@ -3,6 +3,7 @@
 use std::time::Duration;
 use tessera_wire::{
     AbortCode, FrameId, Hello, PackId, PackRefusal, Refusal, ToMaster, ToWorker, Version, WorkerId, limits,
+    plain_text,
 };
 
 /// State of one connection. Times are counted from the cluster's start.
@@ -99,7 +100,7 @@ impl Session {
             (Phase::Over, _) => return Vec::new(),
             (Phase::Greeting, ToMaster::Hello(hello)) => return self.greet(hello, numeric_class),
             (_, ToMaster::Abort { code, detail }) => {
-                return self.end(code, format!("it says: {code}: {}", for_people(&detail)));
+                return self.end(code, format!("it says: {code}: {}", plain_text(&detail)));
             }
             (_, ToMaster::Leave) => return self.end(AbortCode::Done, "it left".into()),
             (Phase::Greeting, _) => unexpected("anything but `Hello`"),
@@ -206,11 +207,6 @@ impl Session {
         steps.extend(self.end(AbortCode::Refused, reason));
         steps
     }
-}
-
-/// A peer's text, fit for a log line.
-fn for_people(text: &str) -> String {
-    text.chars().filter(|c| !c.is_control()).take(limits::TEXT_BYTES).collect()
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use crate::pipes::{PipeError, Reader, read_message};
 use tessera_pack::{Pack, PackBuffer, PackError};
-use tessera_wire::{PackChunk, PackId, PackRefusal, limits};
+use tessera_wire::{PackChunk, PackId, PackRefusal, limits, plain_text};
 use tokio::io::AsyncReadExt;
 
 /// Bytes of one pack, filled from the front.
@@ -48,7 +48,7 @@ impl Assembly {
     pub(crate) fn finish(self) -> Result<Pack, PackRefusal> {
         let pack = Pack::from_buffer(self.buffer).map_err(|e| match e {
             PackError::OutOfMemory(needs) => PackRefusal::OutOfMemory { needs, has: 0 },
-            other => PackRefusal::Invalid { detail: shortened(other.to_string()) },
+            other => PackRefusal::Invalid { detail: plain_text(&other.to_string()) },
         })?;
         let got = PackId(pack.id().0);
         if got != self.pack {
@@ -75,12 +75,6 @@ pub(crate) async fn receive(
     }
     let checked = tokio::task::spawn_blocking(move || assembly.finish()).await;
     Ok(checked.unwrap_or_else(|e| Err(PackRefusal::Invalid { detail: format!("checking it failed: {e}") })))
-}
-
-fn shortened(mut text: String) -> String {
-    let end = (0..=limits::TEXT_BYTES.min(text.len())).rev().find(|&i| text.is_char_boundary(i));
-    text.truncate(end.unwrap_or(0));
-    text
 }
 
 #[cfg(test)]
@@ -115,11 +109,5 @@ mod tests {
     #[test]
     fn an_impossible_length_is_refused() {
         assert!(matches!(Assembly::new(PACK, u64::MAX / 2), Err(PackRefusal::OutOfMemory { .. })));
-    }
-
-    #[test]
-    fn a_long_reason_is_cut_at_a_character() {
-        assert_eq!(shortened("é".repeat(400)).len(), limits::TEXT_BYTES);
-        assert_eq!(shortened("short".into()), "short");
     }
 }

@@ -10,7 +10,7 @@ use crate::{
 };
 use std::future::{Future, pending};
 use tessera_pack::Pack;
-use tessera_wire::{AbortCode, Hello, PackId, PackRefusal, Refusal, ToMaster, ToWorker, Version, limits};
+use tessera_wire::{AbortCode, Hello, PackId, PackRefusal, Refusal, ToMaster, ToWorker, Version, plain_text};
 use tokio::{
     io::AsyncWriteExt,
     sync::mpsc,
@@ -304,10 +304,7 @@ fn ending_to_result(ending: Ending) -> Result<(), WorkerError> {
     match ending {
         Ending::Dismissed | Ending::Left => Ok(()),
         Ending::Refused(refusal) => Err(WorkerError::Refused(refusal)),
-        Ending::Aborted { code, detail } => {
-            let detail = detail.chars().filter(|c| !c.is_control()).take(limits::TEXT_BYTES).collect();
-            Err(WorkerError::Aborted { code, detail })
-        }
+        Ending::Aborted { code, detail } => Err(WorkerError::Aborted { code, detail: plain_text(&detail) }),
     }
 }
 

@@ -1,6 +1,6 @@
 //! Reasons: why a worker is refused, why it refuses a pack, why a connection is cut.
 
-use crate::PackId;
+use crate::{PackId, limits};
 use bincode::{Decode, Encode};
 
 /// Why the master does not take a worker. Sent in `Refuse`; the worker should not try again unchanged.
@@ -92,5 +92,25 @@ impl AbortCode {
     /// The number on the wire and in QUIC's close frame.
     pub const fn number(self) -> u32 {
         self as u32
+    }
+}
+
+/// A text that may go to a peer, or that came from one and goes to a log: without control characters, and at most
+/// [`limits::TEXT_BYTES`] bytes of it.
+pub fn plain_text(text: &str) -> String {
+    let mut plain: String = text.chars().filter(|c| !c.is_control()).take(limits::TEXT_BYTES).collect();
+    plain.truncate(plain.floor_char_boundary(limits::TEXT_BYTES));
+    plain
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_become_plain_and_are_cut_at_a_character() {
+        assert_eq!(plain_text("short\n\x1b[2J"), "short[2J");
+        assert_eq!(plain_text(&"é".repeat(400)), "é".repeat(256));
+        assert_eq!(plain_text(&format!("a{}", "é".repeat(400))).len(), limits::TEXT_BYTES - 1);
     }
 }

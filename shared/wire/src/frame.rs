@@ -2,7 +2,7 @@
 
 use crate::{FrameId, PackId, TileGrid, limits};
 use bincode::{Decode, Encode};
-use std::{fmt, str::FromStr};
+use std::fmt;
 
 /// Everything that a worker must know to render any tile of a frame. Master to every worker, once a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Encode, Decode)]
@@ -101,16 +101,6 @@ impl PixelFormat {
 impl fmt::Display for PixelFormat {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
-    }
-}
-
-impl FromStr for PixelFormat {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        Self::ALL
-            .into_iter()
-            .find(|format| format.name() == text)
-            .ok_or_else(|| format!("no pixel format `{text}`: use rgba8, rgba16 or layers"))
     }
 }
 
@@ -256,13 +246,5 @@ mod tests {
         assert_eq!(check(&|f| f.camera.forward = [0.0; 3]), Err(FrameError::Camera("forward")));
         assert_eq!(check(&|f| f.camera.right[0] = f32::INFINITY), Err(FrameError::Camera("right")));
         assert_eq!(check(&|f| f.camera.up[2] = 1e30), Err(FrameError::Camera("up")));
-    }
-
-    #[test]
-    fn formats_have_names() {
-        for format in PixelFormat::ALL {
-            assert_eq!(format.name().parse(), Ok(format));
-        }
-        assert!("png".parse::<PixelFormat>().is_err());
     }
 }

@@ -20,7 +20,7 @@ mod ticket;
 mod version;
 
 pub use bulk::{BatchHeader, PackChunk, Rays, TileEntry};
-pub use error::{AbortCode, PackRefusal, Refusal};
+pub use error::{AbortCode, PackRefusal, Refusal, plain_text};
 pub use frame::{Camera, Features, Frame, FrameError, PixelFormat, ReturnMode};
 pub use grid::{Rect, TileGrid};
 pub use ids::{Attempt, FrameId, PackId, TileId, WorkerId};
