@@ -16,18 +16,31 @@ pub struct Ray {
 }
 
 impl Ray {
-    /// A direction component smaller than this counts as 0 where a kernel divides by it: `1 / 2^-100` times any
-    /// coordinate below 2^27 is still finite, and within `t < 2^76` such a component moves the ray by less than 2^-24.
-    pub const TINY_COMPONENT: f32 = f32::from_bits((127 - 100) << 23);
+    /// Least largest component of a direction, 2^-60.
+    pub const DIRECTION_MIN: f32 = f32::from_bits((127 - 60) << 23);
 
-    /// Whether the kernels can trace this ray: a finite origin, a finite direction with a component of at least
-    /// [`Ray::TINY_COMPONENT`], and `0 <= t_min < t_max`. Every other ray misses everything.
+    /// Greatest largest component of a direction, 2^60. Between the two no distance to a coordinate from 2^-60 to 2^60 overflows, or loses
+    /// digits by underflow.
+    pub const DIRECTION_MAX: f32 = f32::from_bits((127 + 60) << 23);
+
+    /// Whether the kernels can trace this ray: a finite origin, a finite direction whose largest component is from
+    /// [`Ray::DIRECTION_MIN`] to [`Ray::DIRECTION_MAX`], and `0 <= t_min < t_max`. Every other ray misses everything.
     pub fn is_traceable(&self) -> bool {
+        let length = self.direction.abs().max_element();
         self.origin.is_finite()
             && self.direction.is_finite()
-            && self.direction.abs().max_element() >= Self::TINY_COMPONENT
+            && (Self::DIRECTION_MIN..=Self::DIRECTION_MAX).contains(&length)
             && self.t_min >= 0.0
             && self.t_min < self.t_max
+    }
+
+    /// The direction for kernels that divide by its components: those below 2^-40 of the largest are 0, which moves no point of the ray by more
+    /// than a 2^16th of a roundoff of its distance from the origin; of the others the inverse is at most 2^100.
+    #[inline]
+    pub fn divisor(&self) -> Vec3 {
+        const SHARE: f32 = f32::from_bits((127 - 40) << 23);
+        let least = self.direction.abs().max_element() * SHARE;
+        Vec3::from_array(self.direction.to_array().map(|d| if d.abs() < least { 0.0 } else { d }))
     }
 }
 
@@ -69,12 +82,24 @@ mod tests {
         assert!(ray(Vec3::new(1.0, 1e-40, -0.0), 0.0, 1.0).is_traceable());
         assert!(!ray(Vec3::ZERO, 0.0, 1.0).is_traceable());
         assert!(!ray(Vec3::splat(1e-40), 0.0, 1.0).is_traceable());
+        assert!(!ray(Vec3::new(1e-20, 0.0, 0.0), 0.0, 1.0).is_traceable());
+        assert!(!ray(Vec3::new(1e20, 0.0, 0.0), 0.0, 1.0).is_traceable());
         assert!(!ray(Vec3::new(f32::NAN, 1.0, 0.0), 0.0, 1.0).is_traceable());
         assert!(!ray(Vec3::new(f32::INFINITY, 1.0, 0.0), 0.0, 1.0).is_traceable());
         assert!(!ray(Vec3::X, -1.0, 1.0).is_traceable());
         assert!(!ray(Vec3::X, f32::NAN, 1.0).is_traceable());
         assert!(!ray(Vec3::X, 1.0, 1.0).is_traceable());
         assert!(!Ray { origin: Vec3::NAN, ..ray(Vec3::X, 0.0, 1.0) }.is_traceable());
+    }
+
+    #[test]
+    fn components_that_do_not_move_the_ray_are_no_divisors() {
+        for scale in [Ray::DIRECTION_MIN, 1.0, Ray::DIRECTION_MAX] {
+            let divisor = ray(Vec3::new(-1e-13, 1.0, 1e-12) * scale, 0.0, 1.0).divisor();
+            assert_eq!(divisor, Vec3::new(0.0, 1.0, 1e-12) * scale);
+            assert!(divisor.z.recip().is_finite() && divisor.y.recip().is_normal());
+        }
+        assert_eq!(ray(Vec3::new(1e-40, 1.0, f32::MIN_POSITIVE), 0.0, 1.0).divisor(), Vec3::Y);
     }
 
     #[test]

@@ -60,8 +60,7 @@ impl TreeView<'_> {
             return None;
         }
         let origin = ray.origin.to_array();
-        // Treat a direction component as zero when its inverse would be useless.
-        let direction = ray.direction.to_array().map(|d| if d.abs() < Ray::TINY_COMPONENT { 0.0 } else { d });
+        let direction = ray.divisor().to_array();
         let inverse = direction.map(f32::recip);
 
         // Clip the ray, as thick as it counts, to the scene.

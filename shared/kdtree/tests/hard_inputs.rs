@@ -207,6 +207,42 @@ fn subnormal_direction_components_count_as_zero() {
 }
 
 #[test]
+fn directions_of_any_length_find_the_same() {
+    for (name, soup) in scenes() {
+        let tree = soup.build(2);
+        let planes = common::planes(&tree);
+        let mut random = Random(54);
+        for i in 0..400 {
+            let ray = unkind_ray(i, &mut random, &soup, &planes);
+            let found = tree.view().closest_hit(&soup, &ray, |_| true);
+            // A power of two changes exponents only; a component that is no divisor is none at any length.
+            let length = libm::exp2f(libm::log2f(ray.direction.abs().max_element()).floor());
+            for scale in [Ray::DIRECTION_MIN / length, Ray::DIRECTION_MAX / length / 2.0] {
+                let scaled = Ray { direction: ray.direction * scale, ..ray };
+                let expected = found.map(|hit| tessera_geometry::Hit { t: hit.t / scale, ..hit });
+                assert_eq!(tree.view().closest_hit(&soup, &scaled, |_| true), expected, "{name}, {ray:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn scenes_far_from_the_origin_of_coordinates_agree_with_brute_force() {
+    // Coordinates are 1/8 apart there, and the ray is thinner than that.
+    for (name, soup) in [("spheres", common::spheres()), ("terrain", common::terrain())] {
+        let far = |v: Vec3| (v / 8.0).floor() / 8.0 + Vec3::new(1_048_576.0, -1_572_864.0, 1_310_720.0);
+        let soup = Soup(soup.0.into_iter().map(|corners| corners.map(far)).collect());
+        check(name, &soup, 2000);
+    }
+    // A box of which rays see edges and corners from outside: a hit by rounding lies beside the scene's own box.
+    for at in [Vec3::ZERO, Vec3::new(1_048_576.0, -1_572_864.0, 1_310_720.0)] {
+        let cube = (0..3).flat_map(|axis| [-32.0, 32.0].map(|side| quad(axis, side, [-32.0; 2], [32.0; 2])));
+        let soup = Soup(cube.flatten().map(|corners| corners.map(|v| v + at)).collect());
+        check("cube", &soup, 20_000);
+    }
+}
+
+#[test]
 fn triangles_that_are_not_finite_are_left_out() {
     let mut soup = tubes();
     let plain = soup.build(2);
