@@ -5,8 +5,15 @@ use std::fs;
 
 #[test]
 fn help_is_a_manual() {
-    let commands: [&[&str]; 6] =
-        [&[], &["demo"], &["render"], &["scene", "info"], &["scene", "pack"], &["compare"]];
+    let commands: [&[&str]; 7] = [
+        &[],
+        &["demo"],
+        &["render"],
+        &["scene", "info"],
+        &["scene", "pack"],
+        &["compare"],
+        &["bench", "rays"],
+    ];
     for command in commands {
         let help = Tessera::new(command).args(["--help"]).run().ok();
         assert!(help.contains("Usage:") && help.contains("Examples:"), "{command:?}: {help}");

@@ -1,5 +1,6 @@
 //! Promises that are kept by the whole: the built binary, the prepared pack, the workspace's own rules.
 
+mod bench;
 mod cli;
 mod cluster;
 mod processes;

@@ -1,6 +1,7 @@
 //! The command line.
 
 mod args;
+mod bench;
 mod compare;
 mod demo;
 mod error;
@@ -87,6 +88,9 @@ pub enum Command {
     Scene(SceneCommand),
     /// Say how far two pictures differ
     Compare(compare::CompareArgs),
+    /// Measure rays and trees, beside obvhs in the same run
+    #[command(subcommand)]
+    Bench(bench::BenchCommand),
     /// Serve one local master; started by the master itself
     #[command(hide = true)]
     Worker,
@@ -150,6 +154,7 @@ impl Cli {
             Command::Scene(SceneCommand::Info(args)) => info::run(args, &progress),
             Command::Scene(SceneCommand::Pack(args)) => pack::run(args, &progress),
             Command::Compare(args) => compare::run(args),
+            Command::Bench(command) => bench::run(command, &progress),
             Command::Worker => worker::run(),
         }
     }

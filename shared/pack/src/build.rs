@@ -87,8 +87,29 @@ pub struct PackStats {
     pub tree: TreeStats,
 }
 
+/// A part of the work of [`build_pack_with`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PackStage {
+    /// Dropping what is unusable, laying the grid, encoding the vertices.
+    Quantise,
+    /// Building the kd-tree.
+    Tree,
+    /// Laying out, hashing and checking the bytes.
+    Assemble,
+}
+
 /// Packs `input`. Deterministic: the same bytes for any number of threads of the current rayon pool.
-pub fn build_pack(mut input: PackInput, options: &PackOptions) -> Result<(Pack, PackStats), BuildError> {
+pub fn build_pack(input: PackInput, options: &PackOptions) -> Result<(Pack, PackStats), BuildError> {
+    build_pack_with(input, options, |_| {})
+}
+
+/// The same as [`build_pack`]; says when each stage begins to `on_stage`, which may hold a clock.
+pub fn build_pack_with(
+    mut input: PackInput,
+    options: &PackOptions,
+    mut on_stage: impl FnMut(PackStage),
+) -> Result<(Pack, PackStats), BuildError> {
+    on_stage(PackStage::Quantise);
     check_input(&input)?;
     let mut stats = PackStats {
         triangles_in: input.triangles.len() as u64,
@@ -141,11 +162,13 @@ pub fn build_pack(mut input: PackInput, options: &PackOptions) -> Result<(Pack, 
         flags: if sections.has_normals { Head::HAS_NORMALS } else { 0 },
     };
     drop((plan, ids, grid));
+    on_stage(PackStage::Tree);
     let tree = {
         let mesh = MeshView::new(&head, &|section| sections.bytes(section));
         tessera_kdtree::build(head.triangles, |id| mesh.vertices(id), &options.tree)
             .map_err(|e| BuildError::Input(e.to_string()))?
     };
+    on_stage(PackStage::Assemble);
     stats.tree = tree.stats();
     head.tree_depth = tree.depth;
     head.root_min = tree.bounds.min.to_array();

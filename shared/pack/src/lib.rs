@@ -18,7 +18,7 @@ mod validate;
 pub mod view;
 
 pub use buffer::PackBuffer;
-pub use build::{PackOptions, PackStats, Plain, build_pack};
+pub use build::{PackOptions, PackStage, PackStats, Plain, build_pack, build_pack_with};
 pub use error::{BuildError, PackError};
 pub use input::{ImageInput, PackInput};
 pub use records::{

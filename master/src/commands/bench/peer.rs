@@ -1,0 +1,181 @@
+//! Who is measured: our kernels over packs of the mesh, and obvhs over the mesh itself.
+
+use super::clock::process_seconds;
+use super::mesh::Mesh;
+use super::ray_set::{WorldHit, WorldRay};
+use crate::commands::CommandError;
+use std::time::Instant;
+use tessera_geometry::{LocalFrame, Ray};
+use tessera_kdtree::BuildOptions;
+use tessera_pack::{Pack, PackOptions, PackStage, Plain, build_pack_with, format::Section};
+
+/// A structure that answers rays. What it needs to turn a world ray into one of its own, and its hit back, is part of the answer.
+pub trait Peer: Sync {
+    /// Library or structure, variant, kernel.
+    fn name(&self) -> String;
+    /// Peers with the same twin hold the same geometry and must answer with the same bits.
+    fn twin(&self) -> Option<&'static str>;
+    fn build_cost(&self) -> Cost;
+    /// Bytes that the search structure keeps.
+    fn accel_bytes(&self) -> u64;
+    /// The same and the triangles that must stay to answer.
+    fn total_bytes(&self) -> u64;
+    /// The closest hit of each ray.
+    fn closest(&self, rays: &[WorldRay], hits: &mut [WorldHit]);
+    /// 1 for each ray that hits anything, else 0.
+    fn occluded(&self, rays: &[WorldRay], blocked: &mut [u8]);
+}
+
+/// What one thread took.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Cost {
+    pub wall_s: f64,
+    pub cpu_s: f64,
+}
+
+impl Cost {
+    /// Of `work`, in a pool of one thread.
+    pub fn of<T: Send>(work: impl FnOnce() -> T + Send) -> Result<(T, Self), CommandError> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().map_err(CommandError::failed)?;
+        let watch = Watch::start();
+        let value = pool.install(work);
+        Ok((value, watch.read()))
+    }
+}
+
+/// Wall and process time since a moment.
+#[derive(Clone, Copy)]
+pub struct Watch {
+    wall: Instant,
+    cpu: f64,
+}
+
+impl Watch {
+    pub fn start() -> Self {
+        Self { wall: Instant::now(), cpu: process_seconds() }
+    }
+
+    pub fn read(&self) -> Cost {
+        Cost { wall_s: self.wall.elapsed().as_secs_f64(), cpu_s: process_seconds() - self.cpu }
+    }
+}
+
+/// How the rays of a chunk go through our tree.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Kernel {
+    /// One ray after the other.
+    Scalar,
+}
+
+impl Kernel {
+    pub const ALL: [Self; 1] = [Self::Scalar];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Scalar => "scalar",
+        }
+    }
+}
+
+/// A pack of the mesh, traced in voxel units.
+pub struct Ours {
+    pack: Pack,
+    frame: LocalFrame,
+    max_refs: u32,
+    is_plain: bool,
+    kernel: Kernel,
+    build: Cost,
+}
+
+impl Ours {
+    /// Packs `mesh` and returns a peer for each kernel.
+    pub fn build(
+        mesh: &Mesh,
+        max_refs: u32,
+        is_plain: bool,
+        kernels: &[Kernel],
+    ) -> Result<Vec<Self>, CommandError> {
+        let options = PackOptions {
+            plain: Plain { positions: is_plain, ..Plain::default() },
+            tree: BuildOptions { max_refs, ..BuildOptions::default() },
+            ..PackOptions::default()
+        };
+        let input = mesh.pack_input();
+        // The tree's own cost is what others call building: watch it alone.
+        let mut watch = Watch::start();
+        let mut build = Cost::default();
+        let on_stage = |stage| match stage {
+            PackStage::Tree => watch = Watch::start(),
+            PackStage::Assemble => build = watch.read(),
+            _ => {}
+        };
+        let (packed, _) = Cost::of(|| build_pack_with(input, &options, on_stage))?;
+        let (pack, _) = packed.map_err(|e| CommandError::Failed(format!("{}: {e}", mesh.name)))?;
+        let frame = pack.frame();
+        let peer = |&kernel| Self { pack: pack.clone(), frame, max_refs, is_plain, kernel, build };
+        Ok(kernels.iter().map(peer).collect())
+    }
+
+    fn to_local(&self, ray: &WorldRay) -> Ray {
+        let step = self.frame.step;
+        let local = |t: f32| (f64::from(t) / step) as f32;
+        Ray {
+            origin: self.frame.to_local(ray.origin.as_dvec3()),
+            direction: ray.direction,
+            t_min: local(ray.t_min),
+            t_max: local(ray.t_max),
+        }
+    }
+
+    fn to_world(&self, hit: Option<tessera_geometry::Hit>) -> WorldHit {
+        hit.map_or(WorldHit::MISS, |hit| WorldHit {
+            t: (f64::from(hit.t) * self.frame.step) as f32,
+            triangle: self.pack.original_id(hit.triangle),
+        })
+    }
+}
+
+impl Peer for Ours {
+    fn name(&self) -> String {
+        let plain = if self.is_plain { "-plain" } else { "" };
+        format!("tessera/kd{}{plain}/{}", self.max_refs, self.kernel.name())
+    }
+
+    fn twin(&self) -> Option<&'static str> {
+        Some(if self.is_plain { "plain" } else { "quantised" })
+    }
+
+    fn build_cost(&self) -> Cost {
+        self.build
+    }
+
+    fn accel_bytes(&self) -> u64 {
+        self.pack.section_bytes(Section::Slots) + self.pack.section_bytes(Section::List)
+    }
+
+    fn total_bytes(&self) -> u64 {
+        self.pack.bytes().len() as u64
+    }
+
+    fn closest(&self, rays: &[WorldRay], hits: &mut [WorldHit]) {
+        let (tree, mesh) = (self.pack.tree(), self.pack.mesh());
+        match self.kernel {
+            Kernel::Scalar => {
+                for (ray, hit) in rays.iter().zip(hits) {
+                    *hit = self.to_world(tree.closest_hit(&mesh, &self.to_local(ray), |_| true));
+                }
+            }
+        }
+    }
+
+    fn occluded(&self, rays: &[WorldRay], blocked: &mut [u8]) {
+        let (tree, mesh) = (self.pack.tree(), self.pack.mesh());
+        match self.kernel {
+            Kernel::Scalar => {
+                for (ray, blocked) in rays.iter().zip(blocked) {
+                    *blocked = tree.any_hit(&mesh, &self.to_local(ray), |_| true).into();
+                }
+            }
+        }
+    }
+}
