@@ -125,7 +125,7 @@ async fn one_image_for_every_balancing_over_memory_and_over_quic() {
     }
 
     let (workers, served) = over_quic(3);
-    let class = ClusterConfig { numeric_class: Some(NUMERIC_CLASS.into()) };
+    let class = ClusterConfig { numeric_class: Some(NUMERIC_CLASS.into()), ..ClusterConfig::default() };
     let mut cluster = Cluster::start(workers, class).await.expect("three join");
     cluster.load(&pack, |_| ()).await.expect("they take the pack");
     for balance in Balance::ALL {
@@ -216,7 +216,7 @@ async fn a_lost_worker_is_replaced_and_the_last_one_is_not() {
     let result = cluster.render(&job, |progress| match progress {
         tessera_master::Progress::Tiles { .. } => drop(first.take().map(|handle| handle.abort())),
         tessera_master::Progress::WorkerLost { .. } => reasons += 1,
-        tessera_master::Progress::Sent { .. } => {}
+        tessera_master::Progress::Sent { .. } | tessera_master::Progress::PackRejected { .. } => {}
     });
     let result = result.await.expect("one worker is enough");
     assert_eq!(result.workers.iter().map(|w| w.tiles).sum::<u32>(), 75 * 75);
@@ -236,7 +236,7 @@ async fn what_cannot_be_done_is_said() {
     assert!(matches!(none.err(), Some(StartError::NoWorkers)));
 
     let (workers, served) = in_memory(1);
-    let other = ClusterConfig { numeric_class: Some("another".into()) };
+    let other = ClusterConfig { numeric_class: Some("another".into()), ..ClusterConfig::default() };
     let refused = Cluster::start(workers, other).await.err().expect("refused");
     assert!(refused.to_string().contains("numeric class"), "{refused}");
     for handle in served {
@@ -268,26 +268,37 @@ async fn what_cannot_be_done_is_said() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn packs_follow_each_other_also_after_one_was_rejected() {
+async fn packs_follow_each_other_also_past_a_worker_without_room() {
     let (pack, larger) = (pack(), strip(3000));
     // Room for the small pack alone in one of them.
     let between = (pack.bytes().len() + larger.bytes().len()) as u64 / 2;
     let (mut links, mut served) = (Vec::new(), Vec::new());
-    for memory in [None, Some(between), None] {
-        let (link, handle) = worker(config("w", memory));
+    for (name, memory) in [("a", None), ("small", Some(between)), ("c", None)] {
+        let (link, handle) = worker(config(name, memory));
         links.push(link);
         served.push(handle);
     }
     let mut cluster =
         Cluster::start(Workers::Links(links), ClusterConfig::default()).await.expect("they join");
+    let reason = PackRefusal::OutOfMemory { needs: larger.bytes().len() as u64, has: between }.to_string();
     for _ in 0..3 {
-        let failed = cluster.load(&larger, |_| ()).await;
-        assert!(matches!(failed, Err(LoadError::Rejected { .. })), "{failed:?}");
-        let job = job(&pack, Balance::Dynamic);
-        assert!(matches!(cluster.render(&job, |_| ()).await, Err(RenderError::NoPack)));
+        let mut said = Vec::new();
+        let loaded = cluster.load(&larger, |progress| {
+            if let tessera_master::Progress::PackRejected { name, reason } = progress {
+                said.push((name.to_string(), reason.to_string()));
+            }
+        });
+        loaded.await.expect("two have room for it");
+        assert_eq!(said, [("small".to_string(), reason.clone())]);
+        let result = render(&mut cluster, &job(&larger, Balance::Static)).await;
+        let part: Vec<_> = result.workers.iter().map(|w| (w.name.as_str(), w.rejected.as_deref())).collect();
+        assert_eq!(part, [("a", None), ("small", Some(reason.as_str())), ("c", None)]);
+        assert!(result.workers.iter().all(|w| (w.tiles == 0) == w.rejected.is_some() && w.lost.is_none()));
+
         cluster.load(&pack, |_| ()).await.expect("all have room for it");
-        let result = render(&mut cluster, &job).await;
-        assert!(result.workers.len() == 3 && result.workers.iter().all(|w| w.lost.is_none()), "{result:?}");
+        let result = render(&mut cluster, &job(&pack, Balance::Dynamic)).await;
+        let is_well = |w: &tessera_master::WorkerReport| w.lost.is_none() && w.rejected.is_none();
+        assert!(result.workers.len() == 3 && result.workers.iter().all(is_well), "{result:?}");
     }
     cluster.stop().await;
     for handle in served {

@@ -169,6 +169,22 @@ mod ends {
     }
 
     #[test]
+    fn a_worker_that_is_stopped_in_the_middle_changes_nothing() {
+        let folder = packed_box();
+        let size = "--size 256x256 --spp 16 --tile 32";
+        let expected = render(&folder, size).run().json();
+        for balance in ["static", "dynamic"] {
+            let args = format!("{size} --workers 2 --threads 1 --balance {balance} -v");
+            let mut run = render(&folder, &args).start();
+            run.wait_for("all workers hold the scene");
+            // Its connection is silent from now on, and only that.
+            signal("STOP", run.children()[0]);
+            let report: Value = serde_json::from_str(&run.finish().ok()).expect("one JSON object");
+            assert_eq!(hash(&report), hash(&expected), "{balance}");
+        }
+    }
+
+    #[test]
     fn a_render_without_any_worker_left_fails() {
         let folder = packed_box();
         let before = folder.names();

@@ -1,6 +1,6 @@
 //! A whole cluster in one thread under a virtual clock: both sides' state machines, late, lost and repeated
-//! messages, and workers that die. Whatever happens, a frame is complete with every tile once, as long as one
-//! worker lives.
+//! messages, workers that die, stall, leave and join late. Whatever happens, a frame is complete with every tile
+//! once, as long as one worker lives and works, and no tile is with more than two of them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -18,8 +18,7 @@ const PACK_BYTES: u64 = 1000;
 
 #[test]
 fn every_frame_is_complete_for_every_seed() {
-    let mut lost = 0;
-    let mut dropped = 0;
+    let (mut lost, mut dropped, mut joined, mut helped) = (0, 0, 0, 0);
     for seed in 0..4000 {
         let mut world = World::new(seed, true);
         for pack in [None, None, Some(PACKS[1]), Some(PACKS[0])] {
@@ -34,10 +33,88 @@ fn every_frame_is_complete_for_every_seed() {
             dropped += outcome.dropped_tiles;
         }
         lost += world.lost.len();
+        joined += world.took_part_late;
+        helped += world.shared_tiles;
     }
     // The seeds do what they are for.
     assert!(lost > 4000, "{lost} workers were lost");
     assert!(dropped > 4000, "{dropped} results came twice or too late");
+    assert!(joined > 4000, "{joined} workers took part in a frame that had begun");
+    assert!(helped > 4000, "{helped} tiles were with two workers");
+}
+
+#[test]
+fn workers_that_are_well_render_nothing_twice() {
+    for seed in 0..300 {
+        let mut world = World::new(seed, false);
+        let job = world.random_job();
+        let outcome = world.render(&job).expect("all are well");
+        assert_eq!((outcome.dropped_tiles, world.shared_tiles), (0, 0), "seed {seed}");
+    }
+}
+
+#[test]
+fn a_worker_that_stalls_does_not_hold_the_frame() {
+    for balance in Balance::ALL {
+        let mut world = World::with_workers(1, 3);
+        let job = FrameJob { width: 64, height: 64, tile: 8, balance, ..world.random_job() };
+        world.workers[1].stalled_until = Duration::MAX;
+        let begun = world.now;
+        let outcome = world.render(&job).expect("two workers are enough");
+        check_frame(1, &job, &outcome);
+        assert_eq!((world.lost.len(), outcome.workers[1].tiles), (0, 0), "{balance}: it is alive");
+        let waited = world.now - begun;
+        assert!(waited < Duration::from_secs(6), "{balance}: {waited:?}");
+        // It is still at that tile when the next frame begins.
+        let outcome = world.render(&job).expect("two workers are enough");
+        check_frame(2, &job, &outcome);
+    }
+}
+
+#[test]
+fn a_frame_whose_only_worker_stalls_fails_after_a_deadline() {
+    for balance in Balance::ALL {
+        let mut world = World::with_workers(1, 1);
+        let job = FrameJob { width: 64, height: 64, tile: 8, balance, ..world.random_job() };
+        world.workers[0].stalled_until = Duration::MAX;
+        world.expected_lost.insert(WorkerId(0));
+        let begun = world.now;
+        assert_eq!(world.render(&job).err(), Some(FrameStatus::Failed { done: 0, total: 64 }), "{balance}");
+        let waited = (world.now - begun).as_secs();
+        // A minute and 10 ms a sample of what it says at once: a tile, or with `paper-static` all.
+        let samples = if balance == Balance::PaperStatic { 64 * 64 } else { 64 };
+        assert_eq!(waited, 60 + samples / 100, "{balance}");
+        let reason = world.reasons.last().expect("it was lost");
+        assert!(reason.contains("stalled"), "{reason}");
+    }
+}
+
+#[test]
+fn a_frame_without_workers_waits_for_one_if_one_may_come() {
+    let patience = Duration::from_secs(30);
+    for (delay, is_in_time) in [(29, true), (31, false)] {
+        let mut world = World::with_workers(1, 1);
+        world.coordinator = std::mem::take(&mut world.coordinator).with_patience(patience);
+        let job = FrameJob { width: 64, height: 64, tile: 8, ..world.random_job() };
+        let at = world.now + Duration::from_micros(500);
+        world.schedule(at, Happening::Die(WorkerId(0)));
+        // It is missed 5 s later at most.
+        world.schedule(at + Duration::from_secs(delay), Happening::Join);
+        let missed = at + Duration::from_micros(1);
+        world.expected_lost.insert(WorkerId(0));
+        world.schedule(missed, Happening::Missed(WorkerId(0)));
+        match world.render(&job) {
+            Ok(outcome) => {
+                assert!(is_in_time);
+                check_frame(1, &job, &outcome);
+                assert_eq!(outcome.workers.len(), 2);
+            }
+            Err(status) => {
+                assert!(!is_in_time && matches!(status, FrameStatus::Failed { .. }), "{status:?}");
+                assert_eq!(world.now, missed + patience);
+            }
+        }
+    }
 }
 
 #[test]
@@ -103,22 +180,29 @@ fn a_worker_that_returns_nonsense_is_cut_off_and_the_others_finish() {
 }
 
 #[test]
-fn a_worker_that_keeps_its_pixels_is_cut_off_and_the_others_finish() {
-    let mut world = World::with_workers(1, 3);
-    let job =
-        FrameJob { width: 64, height: 64, tile: 8, balance: Balance::PaperStatic, ..world.random_job() };
-    world.coordinator.begin(&job, world.now).expect("a job in range");
-    // Its connection stays; it says that its third of 64 tiles is rendered, and nothing else.
-    world.workers[0].is_alive = false;
-    world.expected_lost.insert(WorkerId(0));
-    let begun = world.now;
-    world.happen(Happening::ToMaster(WorkerId(0), ToMaster::Rendered { frame: FrameId(1), tiles: 22 }));
-    let outcome = world.finish(&job).expect("two workers are enough");
-    assert_eq!(world.lost, [WorkerId(0)]);
-    assert!(world.now >= begun + limits::RETURN_TIMEOUT);
-    let reason = outcome.workers[0].lost.as_deref().unwrap_or_default();
-    assert!(reason.contains("did not come in time"), "{reason}");
-    check_frame(1, &job, &outcome);
+fn a_worker_that_keeps_its_pixels_is_helped_and_alone_it_is_cut_off() {
+    for (crew, tiles) in [(3, 22), (1, 64)] {
+        let mut world = World::with_workers(1, crew);
+        let job =
+            FrameJob { width: 64, height: 64, tile: 8, balance: Balance::PaperStatic, ..world.random_job() };
+        world.coordinator.begin(&job, world.now).expect("a job in range");
+        // Its connection stays; it says that its share of 64 tiles is rendered, and nothing else.
+        world.workers[0].is_alive = false;
+        world.expected_lost.insert(WorkerId(0));
+        let begun = world.now;
+        world.happen(Happening::ToMaster(WorkerId(0), ToMaster::Rendered { frame: FrameId(1), tiles }));
+        match world.finish(&job) {
+            Ok(outcome) => {
+                assert!(crew == 3 && world.lost.is_empty() && world.now < begun + Duration::from_secs(6));
+                check_frame(1, &job, &outcome);
+            }
+            Err(status) => {
+                assert_eq!((crew, status), (1, FrameStatus::Failed { done: 0, total: 64 }));
+                assert_eq!((world.now, world.lost), (begun + limits::RETURN_TIMEOUT, vec![WorkerId(0)]));
+                assert!(world.reasons[0].contains("did not come in time"), "{:?}", world.reasons);
+            }
+        }
+    }
 }
 
 /// The right pixels everywhere, and every tile, ray and worker accounted for once.
@@ -156,6 +240,15 @@ struct World {
     is_rough: bool,
     expected_lost: BTreeSet<WorkerId>,
     lost: Vec<WorkerId>,
+    reasons: Vec<String>,
+    /// Who was given each tile of the current frame.
+    holders: BTreeMap<TileId, Vec<WorkerId>>,
+    /// Tiles that were with two living workers.
+    shared_tiles: u32,
+    /// Workers of the current frame when it was begun.
+    began_with: u32,
+    /// Frames that workers took part in that had joined after they were begun.
+    took_part_late: u32,
 }
 
 struct Worker {
@@ -163,6 +256,10 @@ struct Worker {
     is_alive: bool,
     /// How fast it renders, in percent.
     speed: u64,
+    /// Until then it finishes no tile, although it talks.
+    stalled_until: Duration,
+    /// Tiles that it has finished, or stopped.
+    tiles_ended: u64,
     /// When the last thing put on each of its pipes arrives: to the worker, control and bulk to the master.
     arrivals: [Duration; 3],
 }
@@ -171,12 +268,17 @@ enum Happening {
     ToWorker(WorkerId, ToWorker),
     ToMaster(WorkerId, ToMaster),
     PackArrives(WorkerId, PackId),
-    Rendered(WorkerId, Box<RenderedTile>),
+    /// Unless stopped: if it has ended as many tiles as when it began this one.
+    Rendered(WorkerId, u64, Box<RenderedTile>),
+    Stopped(WorkerId),
     BatchSent(WorkerId),
     Tile(WorkerId, FrameId, TileEntry, Vec<u8>),
     Die(WorkerId),
     Leave(WorkerId),
     Missed(WorkerId),
+    Stall(WorkerId, Duration),
+    /// A new worker, or one that was lost before: the master cannot tell.
+    Join,
 }
 
 impl World {
@@ -205,28 +307,43 @@ impl World {
             is_rough: false,
             expected_lost: BTreeSet::new(),
             lost: Vec::new(),
+            reasons: Vec::new(),
+            holders: BTreeMap::new(),
+            shared_tiles: 0,
+            began_with: 0,
+            took_part_late: 0,
         }
     }
 
     /// `count` workers join and take the pack.
     fn gather(&mut self, count: u32) {
-        for index in 0..count {
-            let hello = Hello {
-                versions: Version::supported_numbers(),
-                name: format!("w{index}"),
-                memory: 0,
-                threads: 1,
-                backend: "cpu".into(),
-                numeric_class: "sim".into(),
-            };
-            self.coordinator.connected(self.now);
-            let session = Session::start(hello, None, self.now);
-            let speed = 20 + self.below(200);
-            self.workers.push(Worker { session, is_alive: true, speed, arrivals: [Duration::ZERO; 3] });
+        for _ in 0..count {
+            self.connect();
         }
         self.run_until(|c| c.joined().count() == count as usize);
         self.load(PACKS[0]);
         assert_eq!(self.coordinator.holders().count(), count as usize);
+    }
+
+    fn connect(&mut self) {
+        let hello = Hello {
+            versions: Version::supported_numbers(),
+            name: format!("w{}", self.workers.len()),
+            memory: 0,
+            threads: 1,
+            backend: "cpu".into(),
+            numeric_class: "sim".into(),
+        };
+        self.coordinator.connected(self.now);
+        let speed = 20 + self.below(200);
+        self.workers.push(Worker {
+            session: Session::start(hello, None, self.now),
+            is_alive: true,
+            speed,
+            stalled_until: Duration::ZERO,
+            tiles_ended: 0,
+            arrivals: [self.now; 3],
+        });
     }
 
     /// Everybody who lives takes `pack`.
@@ -243,13 +360,24 @@ impl World {
             // One is spared.
             for &worker in &alive[1..] {
                 let at = self.now + self.micros(1, 8000);
-                match self.below(6) {
+                match self.below(10) {
                     0 => self.schedule(at, Happening::Die(worker)),
                     1 => self.schedule(at, Happening::Leave(worker)),
+                    2 => {
+                        let until = at + self.micros(1, 10_000_000);
+                        self.schedule(at, Happening::Stall(worker, until));
+                    }
+                    3 => self.schedule(at, Happening::Stall(worker, Duration::MAX)),
                     _ => {}
                 }
             }
+            for _ in 0..self.below(3) {
+                let at = self.now + self.micros(1, 20_000);
+                self.schedule(at, Happening::Join);
+            }
         }
+        self.holders.clear();
+        self.began_with = self.coordinator.holders().count() as u32;
         self.coordinator.begin(job, self.now).expect("a job in range");
         self.finish(job)
     }
@@ -259,6 +387,7 @@ impl World {
         match self.coordinator.status() {
             FrameStatus::Done => {
                 let outcome = self.coordinator.finish().expect("done");
+                self.took_part_late += outcome.workers.len() as u32 - self.began_with;
                 self.carry_out();
                 assert_eq!(outcome.image.format(), job.format);
                 Ok(outcome)
@@ -313,7 +442,27 @@ impl World {
             Happening::PackArrives(worker, pack) => {
                 self.session(worker, |s| s.pack_received(pack, Ok(())));
             }
-            Happening::Rendered(worker, tile) => self.session(worker, |s| s.rendered(*tile)),
+            Happening::Rendered(worker, ended, tile) => {
+                let state = &mut self.workers[worker.0 as usize];
+                if state.stalled_until > now {
+                    if state.stalled_until < Duration::MAX {
+                        let at = state.stalled_until;
+                        self.schedule(at, Happening::Rendered(worker, ended, tile));
+                    }
+                } else if state.tiles_ended == ended {
+                    state.tiles_ended += 1;
+                    self.session(worker, |s| s.rendered(*tile));
+                }
+            }
+            Happening::Stopped(worker) => self.session(worker, Session::rendering_stopped),
+            Happening::Stall(worker, until) => {
+                self.workers[worker.0 as usize].stalled_until = until;
+                if until == Duration::MAX {
+                    // When two that stall have the same tile.
+                    self.expected_lost.insert(worker);
+                }
+            }
+            Happening::Join => self.connect(),
             Happening::BatchSent(worker) => self.session(worker, Session::batch_sent),
         }
     }
@@ -349,6 +498,9 @@ impl World {
     fn master_wants(&mut self, output: Output) {
         match output {
             Output::Send(worker, message) => {
+                if let ToWorker::Assign { tiles, .. } = &message {
+                    self.check_holders(worker, tiles);
+                }
                 let at = self.arrival(worker, 0);
                 self.schedule(at, Happening::ToWorker(worker, message));
             }
@@ -360,8 +512,26 @@ impl World {
                 let name = self.expected_lost.contains(&worker);
                 assert!(name, "{worker} is lost without a disaster: {reason}");
                 self.lost.push(worker);
+                self.reasons.push(reason);
+                if self.is_rough && self.below(2) == 0 {
+                    let at = self.now + self.micros(1, 5000);
+                    self.schedule(at, Happening::Join);
+                }
             }
             Output::Close(..) | Output::Event(_) => {}
+        }
+    }
+
+    /// A tile is with two living workers at most.
+    fn check_holders(&mut self, worker: WorkerId, tiles: &[TileId]) {
+        for &tile in tiles {
+            let holders = self.holders.entry(tile).or_default();
+            holders.push(worker);
+            let mut living: Vec<_> =
+                holders.iter().filter(|w| self.coordinator.name(**w).is_some()).collect();
+            living.dedup();
+            assert!(living.len() <= 2, "{tile:?} is with {living:?}");
+            self.shared_tiles += u32::from(living.len() == 2);
         }
     }
 
@@ -376,8 +546,20 @@ impl World {
                 self.session(worker, |s| s.pack_reserved(pack, Ok(())));
             }
             Action::Render(task) => {
-                let time = self.micros(10, 1000) * 100 / self.workers[worker.0 as usize].speed as u32;
-                self.schedule(self.now + time, Happening::Rendered(worker, Box::new(render(task, time))));
+                let Worker { speed, tiles_ended, .. } = self.workers[worker.0 as usize];
+                let time = self.micros(10, 1000) * 100 / speed as u32;
+                let rendered = Happening::Rendered(worker, tiles_ended, Box::new(render(task, time)));
+                self.schedule(self.now + time, rendered);
+            }
+            Action::StopRendering => {
+                let at = self.now + self.micros(1, 300);
+                // Half of them are finished before they see that they are not wanted any more.
+                let is_quicker = self.below(2) == 0;
+                let state = &mut self.workers[worker.0 as usize];
+                if is_quicker && state.stalled_until <= at {
+                    state.tiles_ended += 1;
+                    self.schedule(at, Happening::Stopped(worker));
+                }
             }
             Action::Return(Batch { header, pixels }) => {
                 header.check().expect("a worker's own batch");

@@ -54,6 +54,8 @@ pub struct ClusterConfig {
     /// The arithmetic that every worker must have (`tessera_worker::NUMERIC_CLASS`); `None`: that of the
     /// first to join.
     pub numeric_class: Option<String>,
+    /// How long a frame whose last worker is lost waits for another to join before it fails. Zero where none can join later.
+    pub patience: Duration,
 }
 
 /// Workers that have joined. Dropping it ends local worker processes.
@@ -71,7 +73,10 @@ pub struct Cluster {
     tasks: JoinSet<()>,
     /// Connections that are being closed.
     farewells: JoinSet<()>,
+    /// The one that is loaded, if it is.
     pack: Option<PackId>,
+    /// That one, and earlier ones that a worker is still taking.
+    packs: Vec<Pack>,
     send_scene: Duration,
     /// Name and reason of the worker that was lost last.
     last_lost: String,
@@ -101,7 +106,7 @@ impl Cluster {
     pub async fn start(workers: Workers, config: ClusterConfig) -> Result<Self, StartError> {
         let (tell, inputs) = mpsc::channel(Self::INPUTS);
         let mut this = Self {
-            coordinator: Coordinator::new(config.numeric_class),
+            coordinator: Coordinator::new(config.numeric_class).with_patience(config.patience),
             begun: Instant::now(),
             inputs,
             tell,
@@ -112,6 +117,7 @@ impl Cluster {
             tasks: JoinSet::new(),
             farewells: JoinSet::new(),
             pack: None,
+            packs: Vec::new(),
             send_scene: Duration::ZERO,
             last_lost: String::new(),
         };
@@ -144,10 +150,10 @@ impl Cluster {
         Ok(this)
     }
 
-    /// Gives `pack` to every worker and returns when all hold it, checked; later frames render it.
+    /// Gives `pack` to every worker and returns when each has answered and at least one holds it, checked; later frames render it.
     ///
-    /// Ends when every worker has answered, also if one rejects the pack; then no pack is loaded. Dropping the future before leaves
-    /// workers in the middle of a transfer: stop the cluster then.
+    /// A worker that rejects it stays in the cluster without a part in those frames; each rejection is told to `progress`. Workers that
+    /// join later are given it then.
     ///
     /// The time that this took becomes [`Timings::send_scene`](crate::Timings::send_scene) of later frames.
     pub async fn load(
@@ -159,17 +165,18 @@ impl Cluster {
         let id = PackId(pack.id().0);
         let length = pack.bytes().len() as u64;
         self.pack = None;
+        self.packs.retain(|old| self.coordinator.is_wanted(PackId(old.id().0)));
+        self.packs.push(pack.clone());
         let mut rejected = None;
         self.counters.pack.store(0, Ordering::Relaxed);
         self.coordinator.load(id, length, self.now());
         loop {
-            for event in self.carry_out(Some(pack)) {
-                if let Event::PackRejected(worker, reason) = event {
-                    let worker = self.describe(worker);
-                    rejected.get_or_insert(LoadError::Rejected { worker, reason });
-                } else {
-                    self.report(event, &mut progress);
+            for event in self.carry_out() {
+                if let Event::PackRejected(worker, reason) = &event {
+                    let worker = self.describe(*worker);
+                    rejected.get_or_insert(LoadError::Rejected { worker, reason: reason.clone() });
                 }
+                self.report(event, &mut progress);
             }
             let joined = self.coordinator.joined().count();
             let bytes = self.counters.pack.load(Ordering::Relaxed);
@@ -179,11 +186,8 @@ impl Cluster {
             }
             self.wait().await;
         }
-        if let Some(rejected) = rejected {
-            return Err(rejected);
-        }
         if self.coordinator.holders().next().is_none() {
-            return Err(LoadError::AllLost { last: self.last_lost.clone() });
+            return Err(rejected.unwrap_or_else(|| LoadError::AllLost { last: self.last_lost.clone() }));
         }
         self.pack = Some(id);
         self.send_scene = begun.elapsed();
@@ -199,7 +203,7 @@ impl Cluster {
         let pack = self.pack.ok_or(RenderError::NoPack)?;
         self.coordinator.begin(job, self.now())?;
         loop {
-            for event in self.carry_out(None) {
+            for event in self.carry_out() {
                 self.report(event, &mut progress);
             }
             match self.coordinator.status() {
@@ -210,7 +214,7 @@ impl Cluster {
                 }
                 FrameStatus::Done => {
                     if let Some(outcome) = self.coordinator.finish() {
-                        self.carry_out(None);
+                        self.carry_out();
                         return Ok(self.result(pack, outcome));
                     }
                 }
@@ -222,7 +226,7 @@ impl Cluster {
     pub async fn stop(mut self) {
         const PATIENCE: Duration = Duration::from_secs(2);
         self.coordinator.dismiss(self.now());
-        self.carry_out(None);
+        self.carry_out();
         while self.farewells.join_next().await.is_some() {}
         self.locals.clear();
         if let Some(endpoint) = self.endpoint.take() {
@@ -267,7 +271,7 @@ impl Cluster {
     async fn join(&mut self, count: usize) -> Result<(), StartError> {
         let deadline = Instant::now() + Self::JOIN_TIMEOUT;
         loop {
-            for event in self.carry_out(None) {
+            for event in self.carry_out() {
                 if let Event::Lost(worker, reason) = event {
                     return Err(StartError::Worker { worker: self.describe(worker), reason });
                 }
@@ -336,15 +340,14 @@ impl Cluster {
         }
     }
 
-    /// Does what the coordinator wants, and hands on its events. `pack` is the one on offer while it is
-    /// loaded.
-    fn carry_out(&mut self, pack: Option<&Pack>) -> Vec<Event> {
+    /// Does what the coordinator wants, and hands on its events.
+    fn carry_out(&mut self) -> Vec<Event> {
         let mut events = Vec::new();
         while let Some(output) = self.coordinator.poll() {
             match output {
                 Output::Send(worker, message) => self.lines[worker.0 as usize].send(message),
                 Output::SendPack(worker, id) => {
-                    if let Some(pack) = pack.filter(|pack| pack.id().0 == id.0) {
+                    if let Some(pack) = self.packs.iter().find(|pack| pack.id().0 == id.0) {
                         self.lines[worker.0 as usize].send_pack(pack.clone());
                     }
                 }
@@ -366,7 +369,11 @@ impl Cluster {
                 progress(Progress::WorkerLost { name: &name, reason: &reason });
                 self.last_lost = format!("{name}: {reason}");
             }
-            Event::Joined(_) | Event::PackHeld(_) | Event::PackRejected(..) => {}
+            Event::PackRejected(worker, reason) => {
+                let name = self.describe(worker);
+                progress(Progress::PackRejected { name: &name, reason: &reason.to_string() });
+            }
+            Event::Joined(_) | Event::PackHeld(_) => {}
         }
     }
 
@@ -379,7 +386,8 @@ impl Cluster {
 
     fn result(&self, pack: PackId, mut outcome: Outcome) -> FrameResult {
         // By ticket: processes join in any order.
-        outcome.workers.sort_by_key(|w| self.locals.iter().position(|local| local.name == w.name));
+        let place = |name: &str| self.locals.iter().position(|local| local.name == name);
+        outcome.workers.sort_by_key(|w| place(&w.name).unwrap_or(usize::MAX));
         let udp = self.lines.iter().map(Line::udp_bytes).fold((0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
         FrameResult {
             image: outcome.image,
@@ -455,10 +463,10 @@ pub enum StartError {
 /// Why a pack is not loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
-    /// A worker said no; another pack, or a machine with more memory, may do.
-    #[error("{worker} cannot hold the scene: {reason}")]
+    /// Every worker said no, or was lost; another pack, or a machine with more memory, may do.
+    #[error("no worker can hold the scene; {worker}: {reason}")]
     Rejected {
-        /// Which.
+        /// The first that said no.
         worker: String,
         /// Why.
         reason: tessera_wire::PackRefusal,

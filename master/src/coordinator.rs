@@ -13,8 +13,8 @@ use std::{
     time::Duration,
 };
 use tessera_wire::{
-    AbortCode, FrameError, FrameId, PackId, PackRefusal, Rays, TileEntry, TileGrid, ToMaster, ToWorker,
-    WorkerId, limits,
+    AbortCode, Frame, FrameError, FrameId, PackId, PackRefusal, Rays, TileEntry, TileGrid, ToMaster,
+    ToWorker, WorkerId, limits,
 };
 
 /// What the driver has to do, or to know.
@@ -57,7 +57,7 @@ pub enum FrameStatus {
     Pending,
     /// Every tile is in.
     Done,
-    /// No worker is left; `done` of `total` tiles are in.
+    /// No worker is left, and none has come in time; `done` of `total` tiles are in.
     Failed {
         /// Tiles in.
         done: u32,
@@ -87,15 +87,18 @@ pub struct Coordinator {
     numeric_class: Option<String>,
     /// Indexed by worker id; kept when over.
     sessions: Vec<Session>,
-    pack: Option<PackId>,
+    /// On offer to all, and its bytes.
+    pack: Option<(PackId, u64)>,
     frame: Option<Active>,
     frames_begun: u64,
+    /// How long a frame waits for a worker when it has none.
+    patience: Duration,
     outputs: VecDeque<Output>,
 }
 
 #[derive(Debug)]
 struct Active {
-    id: FrameId,
+    frame: Frame,
     grid: TileGrid,
     dispatch: Dispatch,
     image: FrameBuffer,
@@ -104,6 +107,9 @@ struct Active {
     /// Until when the next tile of a worker must be in, for as long as it owes pixels.
     due: BTreeMap<WorkerId, Duration>,
     late: u64,
+    /// Until when a frame without workers waits for one.
+    alone: Option<Duration>,
+    given_up: bool,
     begun: Duration,
     last_rendered: Duration,
     completed: Option<Duration>,
@@ -115,6 +121,11 @@ impl Coordinator {
         Self { numeric_class, ..Self::default() }
     }
 
+    /// The same, for a cluster that workers join at any time: a frame whose last worker is lost waits for one so long before it fails.
+    pub fn with_patience(self, patience: Duration) -> Self {
+        Self { patience, ..self }
+    }
+
     /// What to do next; to be called until `None` after every input.
     pub fn poll(&mut self) -> Option<Output> {
         self.outputs.pop_front()
@@ -122,8 +133,8 @@ impl Coordinator {
 
     /// When [`Coordinator::tick`] has to be called at the latest.
     pub fn deadline(&self) -> Option<Duration> {
-        let returns = self.frame.iter().flat_map(Active::due).map(|(_, due)| due);
-        self.sessions.iter().filter_map(Session::deadline).chain(returns).min()
+        let frame = self.frame.iter().filter_map(Active::deadline);
+        self.sessions.iter().filter_map(Session::deadline).chain(frame).min()
     }
 
     /// The arithmetic of the cluster, once settled.
@@ -144,7 +155,12 @@ impl Coordinator {
     /// Workers that hold the pack on offer.
     pub fn holders(&self) -> impl Iterator<Item = WorkerId> {
         let pack = self.pack;
-        self.ids().filter(move |worker| pack.is_some_and(|p| self.sessions[worker.0 as usize].holds(p)))
+        self.ids().filter(move |worker| pack.is_some_and(|(p, _)| self.sessions[worker.0 as usize].holds(p)))
+    }
+
+    /// Whether a worker may still ask for the bytes of `pack`.
+    pub fn is_wanted(&self, pack: PackId) -> bool {
+        self.sessions.iter().any(|session| session.awaits(pack))
     }
 
     /// Whether a worker has not yet said if it takes the pack on offer.
@@ -162,7 +178,7 @@ impl Coordinator {
     /// A message came.
     pub fn message(&mut self, worker: WorkerId, message: ToMaster, now: Duration) {
         let class = self.numeric_class.clone();
-        self.with_session(worker, now, |session| session.message(message, class.as_deref()));
+        self.with_session(worker, now, |session| session.message(message, class.as_deref(), now));
     }
 
     /// The pixels of a tile came; they and their share of headers took `wire_bytes`.
@@ -179,7 +195,7 @@ impl Coordinator {
             // Gone, perhaps for good reason; its tiles are with others.
             return;
         }
-        let Some(active) = self.frame.as_mut().filter(|active| active.id == frame) else {
+        let Some(active) = self.frame.as_mut().filter(|active| active.frame.frame == frame) else {
             return self.out_of_frame(worker, frame, now);
         };
         match active.tile(worker, entry, pixels, wire_bytes, now) {
@@ -207,35 +223,49 @@ impl Coordinator {
         for worker in self.ids() {
             self.with_session(worker, now, |session| session.tick(now));
         }
-        let overdue = self.frame.iter().flat_map(Active::due).filter(|&(_, due)| due <= now);
-        for worker in overdue.map(|(worker, _)| worker).collect::<Vec<_>>() {
+        let Some(active) = &mut self.frame else { return };
+        active.given_up |= active.alone.is_some_and(|until| until <= now);
+        let owing = active.due().filter(|&(_, due)| due <= now).map(|(worker, _)| worker);
+        let owing: Vec<_> = owing.collect();
+        let stalled: Vec<_> = active.dispatch.stalled(now).collect();
+        let assignments = active.dispatch.tick(now);
+        self.assign(assignments);
+        for worker in owing {
             let detail = "the pixels of rendered tiles did not come in time";
+            self.abort(worker, AbortCode::Timeout, detail.into(), now);
+        }
+        for worker in stalled {
+            let detail = "it has stalled: no tile was finished in time";
             self.abort(worker, AbortCode::Timeout, detail.into(), now);
         }
     }
 
-    /// Offers a pack of `length` bytes to every worker; later frames are of it.
+    /// Offers a pack of `length` bytes to every worker, also to those that join later; later frames are of it.
     pub fn load(&mut self, pack: PackId, length: u64, now: Duration) {
-        self.pack = Some(pack);
+        self.pack = Some((pack, length));
         for worker in self.ids() {
             self.with_session(worker, now, |session| session.offer(pack, length, now));
         }
     }
 
-    /// Begins a frame of the loaded pack with all workers that hold it.
+    /// Begins a frame of the loaded pack with all workers that hold it; those that hold it later take part from then on.
     ///
     /// # Errors
-    /// The job is out of range. Without a loaded pack or holders the frame begins, and has failed.
+    /// The job is out of range. Without a loaded pack or holders the frame begins, and fails unless a worker comes in time.
     pub fn begin(&mut self, job: &FrameJob, now: Duration) -> Result<FrameId, FrameError> {
         let id = FrameId(self.frames_begun + 1);
-        let frame = job.to_wire(id, self.pack.unwrap_or(PackId([0; 32])));
+        let frame = job.to_wire(id, self.pack.map_or(PackId([0; 32]), |(pack, _)| pack));
         let grid = frame.check()?;
         self.frames_begun += 1;
         let workers: Vec<_> = self.holders().collect();
-        let reports = workers.iter().map(|&w| (w, WorkerReport::new(self.name(w).unwrap_or("?")))).collect();
-        let (dispatch, assignments) = Dispatch::start(&grid, job.balance, &workers);
+        let report =
+            |worker| (worker, WorkerReport::new(self.name(worker).unwrap_or("?"), self.rejection(worker)));
+        let reports =
+            self.joined().filter(|w| workers.contains(w) || self.rejection(*w).is_some()).map(report);
+        let reports = reports.collect();
+        let (dispatch, assignments) = Dispatch::start(&grid, job.balance, job.samples, &workers, now);
         self.frame = Some(Active {
-            id,
+            frame,
             grid,
             dispatch,
             image: FrameBuffer::new(job.width, job.height, job.format),
@@ -243,6 +273,8 @@ impl Coordinator {
             reports,
             due: BTreeMap::new(),
             late: 0,
+            alone: workers.is_empty().then_some(now + self.patience),
+            given_up: workers.is_empty() && self.patience.is_zero(),
             begun: now,
             last_rendered: now,
             completed: None,
@@ -258,7 +290,7 @@ impl Coordinator {
     pub fn status(&self) -> FrameStatus {
         match &self.frame {
             Some(active) if active.dispatch.is_done() => FrameStatus::Done,
-            Some(active) if active.dispatch.workers() == 0 => {
+            Some(active) if active.given_up => {
                 FrameStatus::Failed { done: active.dispatch.done(), total: active.dispatch.total() }
             }
             _ => FrameStatus::Pending,
@@ -268,9 +300,10 @@ impl Coordinator {
     /// Ends the current frame, complete or not; the outcome if it is complete.
     pub fn finish(&mut self) -> Option<Outcome> {
         let active = self.frame.take()?;
-        for &(worker, _) in &active.reports {
-            if self.name(worker).is_some() {
-                self.outputs.push_back(Output::Send(worker, ToWorker::EndFrame { frame: active.id }));
+        let frame = active.frame.frame;
+        for &(worker, ref report) in &active.reports {
+            if self.name(worker).is_some() && report.rejected.is_none() {
+                self.outputs.push_back(Output::Send(worker, ToWorker::EndFrame { frame }));
             }
         }
         active.outcome()
@@ -290,7 +323,7 @@ impl Coordinator {
     fn assign(&mut self, assignments: Vec<Assignment>) {
         let Some(active) = &self.frame else { return };
         for Assignment { worker, attempt, tiles } in assignments {
-            let assign = ToWorker::Assign { frame: active.id, attempt, tiles };
+            let assign = ToWorker::Assign { frame: active.frame.frame, attempt, tiles };
             self.outputs.push_back(Output::Send(worker, assign));
         }
     }
@@ -305,8 +338,14 @@ impl Coordinator {
     }
 
     fn with_session(&mut self, worker: WorkerId, now: Duration, act: impl FnOnce(&mut Session) -> Vec<Step>) {
-        let Some(session) = self.sessions.get_mut(worker.0 as usize) else { return };
-        for step in act(session) {
+        if let Some(session) = self.sessions.get_mut(worker.0 as usize) {
+            let steps = act(session);
+            self.take(worker, steps, now);
+        }
+    }
+
+    fn take(&mut self, worker: WorkerId, steps: Vec<Step>, now: Duration) {
+        for step in steps {
             match step {
                 Step::Send(message) => self.outputs.push_back(Output::Send(worker, message)),
                 Step::SendPack(pack) => self.outputs.push_back(Output::SendPack(worker, pack)),
@@ -315,29 +354,36 @@ impl Coordinator {
                         self.numeric_class.get_or_insert_with(|| hello.numeric_class.clone());
                     }
                     self.outputs.push_back(Output::Event(Event::Joined(worker)));
+                    if let Some((pack, length)) = self.pack {
+                        let steps = self.sessions[worker.0 as usize].offer(pack, length, now);
+                        self.take(worker, steps, now);
+                    }
                 }
-                Step::PackHeld => self.outputs.push_back(Output::Event(Event::PackHeld(worker))),
+                Step::PackHeld => {
+                    self.outputs.push_back(Output::Event(Event::PackHeld(worker)));
+                    self.join_frame(worker, now);
+                }
                 Step::PackRejected(reason) => {
                     self.outputs.push_back(Output::Event(Event::PackRejected(worker, reason)));
                 }
                 Step::Rendered { frame, tiles } => self.rendered(worker, frame, tiles, now),
                 Step::Over { code, reason } => {
                     self.outputs.push_back(Output::Close(worker, code));
-                    self.over(worker, reason);
+                    self.over(worker, reason, now);
                 }
             }
         }
     }
 
     fn rendered(&mut self, worker: WorkerId, frame: FrameId, tiles: u32, now: Duration) {
-        let current = self.frame.as_mut().filter(|active| active.id == frame);
+        let current = self.frame.as_mut().filter(|active| active.frame.frame == frame);
         let Some(active) = current else {
             if frame.0 == 0 || frame.0 > self.frames_begun {
                 self.abort(worker, AbortCode::Unexpected, format!("there is no frame {}", frame.0), now);
             }
             return;
         };
-        match active.dispatch.rendered(worker, tiles) {
+        match active.dispatch.rendered(worker, tiles, now) {
             Ok(assignments) => {
                 active.last_rendered = now;
                 active.due.insert(worker, now + limits::RETURN_TIMEOUT);
@@ -347,12 +393,34 @@ impl Coordinator {
         }
     }
 
-    fn over(&mut self, worker: WorkerId, reason: String) {
+    /// A worker that has just taken the pack takes part in the frame of it that is under way.
+    fn join_frame(&mut self, worker: WorkerId, now: Duration) {
+        let name = self.name(worker).unwrap_or("?").to_string();
+        let holds = |active: &&mut Active| {
+            self.sessions[worker.0 as usize].holds(active.frame.pack) && !active.dispatch.is_done()
+        };
+        let Some(active) = self.frame.as_mut().filter(holds) else { return };
+        active.reports.push((worker, WorkerReport::new(&name, None)));
+        active.alone = None;
+        self.outputs.push_back(Output::Send(worker, ToWorker::Frame(active.frame)));
+        let assignments = active.dispatch.join(worker, now);
+        self.assign(assignments);
+    }
+
+    fn rejection(&self, worker: WorkerId) -> Option<&PackRefusal> {
+        self.sessions[worker.0 as usize].rejection()
+    }
+
+    fn over(&mut self, worker: WorkerId, reason: String, now: Duration) {
         if let Some(active) = &mut self.frame {
             if let Some((_, report)) = active.reports.iter_mut().find(|(w, _)| *w == worker) {
                 report.lost = Some(reason.clone());
             }
-            let assignments = active.dispatch.lost(worker);
+            let assignments = active.dispatch.lost(worker, now);
+            if active.dispatch.workers() == 0 && active.alone.is_none() {
+                active.alone = Some(now + self.patience);
+                active.given_up = self.patience.is_zero() && !active.dispatch.is_done();
+            }
             self.assign(assignments);
         }
         self.outputs.push_back(Output::Event(Event::Lost(worker, reason)));
@@ -378,7 +446,7 @@ impl Active {
         }
         let first = self
             .dispatch
-            .accept(worker, entry.tile, entry.attempt)
+            .accept(worker, entry.tile, entry.attempt, now)
             .map_err(|violation| violation.to_string())?;
         let report = self.reports.iter_mut().find(|(w, _)| *w == worker).map(|(_, report)| report);
         if let Some(report) = report {
@@ -399,8 +467,15 @@ impl Active {
         Ok(first)
     }
 
-    /// Workers that owe pixels, and until when the next tile of each must be in. One that still renders has all the time it needs:
-    /// how long a tile may take is not known.
+    fn deadline(&self) -> Option<Duration> {
+        if self.dispatch.is_done() || self.given_up {
+            return None;
+        }
+        let returns = self.due().map(|(_, due)| due);
+        returns.chain(self.dispatch.deadline()).chain(self.alone).min()
+    }
+
+    /// Workers that owe pixels, and until when the next tile of each must be in.
     fn due(&self) -> impl Iterator<Item = (WorkerId, Duration)> {
         self.due.iter().map(|(&worker, &due)| (worker, due)).filter(|&(worker, _)| self.dispatch.owes(worker))
     }
@@ -427,7 +502,8 @@ impl Active {
 }
 
 impl WorkerReport {
-    fn new(name: &str) -> Self {
-        Self { name: name.into(), tiles: 0, render: Duration::ZERO, bytes_returned: 0, lost: None }
+    fn new(name: &str, rejected: Option<&PackRefusal>) -> Self {
+        let rejected = rejected.map(ToString::to_string);
+        Self { name: name.into(), tiles: 0, render: Duration::ZERO, bytes_returned: 0, lost: None, rejected }
     }
 }

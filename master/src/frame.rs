@@ -63,6 +63,13 @@ pub enum Progress<'a> {
         /// Of the frame.
         total: u32,
     },
+    /// A worker cannot hold the scene; it stays, and the others go on.
+    PackRejected {
+        /// Its name.
+        name: &'a str,
+        /// Why.
+        reason: &'a str,
+    },
     /// A worker is gone; the others go on.
     WorkerLost {
         /// Its name.
@@ -81,7 +88,8 @@ pub struct FrameResult {
     pub pack: PackId,
     /// The arithmetic that rendered it.
     pub numeric_class: String,
-    /// Every worker that took part, in the order in which they were started.
+    /// Every worker that took part or has rejected the scene: those that were started with the cluster, in that order, then those
+    /// that joined, likewise. One that was lost and came back is there twice.
     pub workers: Vec<WorkerReport>,
     /// Where the time went.
     pub timings: Timings,
@@ -106,6 +114,8 @@ pub struct WorkerReport {
     pub bytes_returned: u64,
     /// Why it was lost, if it was.
     pub lost: Option<String>,
+    /// Why it does not hold the scene and had no part, if it has rejected it.
+    pub rejected: Option<String>,
 }
 
 /// Where a frame's time went, by the master's clock. `frame` is `render` + `return_`; `send_scene` lies

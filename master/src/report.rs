@@ -45,7 +45,8 @@ pub struct RenderReport {
     pub bytes_pack: u64,
     /// Rays of the image by kind.
     pub rays: Rays,
-    /// Rendered tiles that came twice or too late, and were dropped: after a worker was lost.
+    /// Rendered tiles that came twice or too late, and were dropped: after a worker was lost,
+    /// or was so late that another one was given its tile too.
     pub dropped_tiles: u64,
     /// What was left out, and why.
     pub left_out: Vec<LeftOutLine>,
@@ -91,6 +92,8 @@ pub struct WorkerLine {
     pub bytes_returned: u64,
     /// Why it was lost, if it was.
     pub lost: Option<String>,
+    /// Why it does not hold the scene and had no part, if it has rejected it.
+    pub rejected: Option<String>,
 }
 
 /// Where the time went.
@@ -191,6 +194,7 @@ impl RenderReport {
                     render_ms: ms(worker.render),
                     bytes_returned: worker.bytes_returned,
                     lost: worker.lost.clone(),
+                    rejected: worker.rejected.clone(),
                 })
                 .collect(),
             ms: Milliseconds {
@@ -266,9 +270,10 @@ impl RenderReport {
                 worker.render_ms,
                 bytes(worker.bytes_returned)
             )?;
-            match &worker.lost {
-                Some(why) => writeln!(t, ", lost: {why}")?,
-                None => writeln!(t)?,
+            match (&worker.lost, &worker.rejected) {
+                (Some(why), _) => writeln!(t, ", lost: {why}")?,
+                (None, Some(why)) => writeln!(t, ", cannot hold the scene: {why}")?,
+                (None, None) => writeln!(t)?,
             }
         }
         writeln!(t, "wire       {}", bytes(self.bytes_on_wire))?;

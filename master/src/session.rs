@@ -19,14 +19,15 @@ enum Phase {
     /// Nothing has come yet.
     Greeting,
     /// `Welcome` is sent.
-    Joined { hello: Hello, holding: Holding },
+    Joined { hello: Hello, holding: Holding, next: Option<(PackId, u64)> },
     /// Nothing is taken any more.
     Over,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 enum Holding {
     Nothing,
+    Rejected(PackRefusal),
     /// Offered; the worker has not said whether it has it.
     Offered(PackId),
     /// Being sent, or checked.
@@ -93,8 +94,21 @@ impl Session {
         matches!(&self.phase, Phase::Joined { holding, .. } if on_offer(holding))
     }
 
+    /// Whether the worker may still ask for the bytes of `pack`.
+    pub fn awaits(&self, pack: PackId) -> bool {
+        matches!(&self.phase, Phase::Joined { holding: Holding::Offered(p) | Holding::Awaited(p), .. } if *p == pack)
+    }
+
+    /// Why the worker does not hold the last pack on offer, if it has rejected it.
+    pub fn rejection(&self) -> Option<&PackRefusal> {
+        match &self.phase {
+            Phase::Joined { holding: Holding::Rejected(reason), .. } => Some(reason),
+            _ => None,
+        }
+    }
+
     /// Takes a message. `numeric_class` is the cluster's, if it is settled.
-    pub fn message(&mut self, message: ToMaster, numeric_class: Option<&str>) -> Vec<Step> {
+    pub fn message(&mut self, message: ToMaster, numeric_class: Option<&str>, now: Duration) -> Vec<Step> {
         let unexpected = |what: &str| (AbortCode::Unexpected, format!("{what} does not belong here"));
         let (code, detail) = match (&mut self.phase, message) {
             (Phase::Over, _) => return Vec::new(),
@@ -104,23 +118,23 @@ impl Session {
             }
             (_, ToMaster::Leave) => return self.end(AbortCode::Done, "it left".into()),
             (Phase::Greeting, _) => unexpected("anything but `Hello`"),
-            (Phase::Joined { holding, .. }, message) => match (*holding, message) {
-                (Holding::Offered(offered), ToMaster::PackNeed { pack, have }) if offered == pack => {
+            (Phase::Joined { holding, next, .. }, message) => match (&*holding, message) {
+                (Holding::Offered(offered), ToMaster::PackNeed { pack, have }) if *offered == pack => {
                     *holding = Holding::Awaited(pack);
                     return if have { Vec::new() } else { vec![Step::SendPack(pack)] };
                 }
-                (Holding::Awaited(awaited), ToMaster::PackReady { pack }) if awaited == pack => {
+                (Holding::Awaited(awaited), ToMaster::PackReady { pack }) if *awaited == pack => {
                     *holding = Holding::Held(pack);
-                    self.deadline = None;
-                    return vec![Step::PackHeld];
+                    let next = next.take();
+                    return self.answered(Step::PackHeld, next, now);
                 }
                 (
                     Holding::Offered(awaited) | Holding::Awaited(awaited),
                     ToMaster::PackRejected { pack, reason },
-                ) if awaited == pack => {
-                    *holding = Holding::Nothing;
-                    self.deadline = None;
-                    return vec![Step::PackRejected(reason)];
+                ) if *awaited == pack => {
+                    *holding = Holding::Rejected(reason.clone());
+                    let next = next.take();
+                    return self.answered(Step::PackRejected(reason), next, now);
                 }
                 // Pixels may overtake it, and the next pack may be on offer before it comes. The coordinator knows
                 // which frames there were.
@@ -132,11 +146,17 @@ impl Session {
         self.abort(code, detail)
     }
 
-    /// Offers a pack of `length` bytes. Nothing happens if the worker has not joined, or holds it already.
+    /// Offers a pack of `length` bytes. Nothing happens if the worker has not joined, or holds it already. A worker in the middle of
+    /// taking another one is offered it after that.
     pub fn offer(&mut self, pack: PackId, length: u64, now: Duration) -> Vec<Step> {
-        let Phase::Joined { holding, .. } = &mut self.phase else { return Vec::new() };
-        if *holding == Holding::Held(pack) {
-            return vec![Step::PackHeld];
+        let Phase::Joined { holding, next, .. } = &mut self.phase else { return Vec::new() };
+        match holding {
+            Holding::Held(held) if *held == pack => return vec![Step::PackHeld],
+            Holding::Offered(other) | Holding::Awaited(other) => {
+                *next = (*other != pack).then_some((pack, length));
+                return Vec::new();
+            }
+            _ => {}
         }
         *holding = Holding::Offered(pack);
         self.deadline = Some(now + limits::pack_timeout(length));
@@ -186,6 +206,15 @@ impl Session {
         vec![Step::Over { code, reason }]
     }
 
+    /// The worker has said what it does with a pack: the step for that, unless it is of yesterday and `next` is on offer.
+    fn answered(&mut self, step: Step, next: Option<(PackId, u64)>, now: Duration) -> Vec<Step> {
+        self.deadline = None;
+        match next {
+            Some((pack, length)) => self.offer(pack, length, now),
+            None => vec![step],
+        }
+    }
+
     fn greet(&mut self, hello: Hello, numeric_class: Option<&str>) -> Vec<Step> {
         let refusal = match (hello.check(), Version::common(&hello.versions)) {
             (Err(detail), _) => Refusal::Malformed { detail },
@@ -195,7 +224,7 @@ impl Session {
                     Refusal::NumericClass { expected: expected.into() }
                 }
                 _ => {
-                    self.phase = Phase::Joined { hello, holding: Holding::Nothing };
+                    self.phase = Phase::Joined { hello, holding: Holding::Nothing, next: None };
                     self.deadline = None;
                     let welcome = ToWorker::Welcome { version: version.number(), worker: self.worker };
                     return vec![Step::Send(welcome), Step::Joined];
@@ -230,7 +259,10 @@ mod tests {
     fn joined() -> Session {
         let mut s = Session::new(WorkerId(3), NOW);
         let welcome = ToWorker::Welcome { version: 1, worker: WorkerId(3) };
-        assert_eq!(s.message(ToMaster::Hello(hello()), Some("cpu-1")), [Step::Send(welcome), Step::Joined]);
+        assert_eq!(
+            s.message(ToMaster::Hello(hello()), Some("cpu-1"), NOW),
+            [Step::Send(welcome), Step::Joined]
+        );
         s
     }
 
@@ -238,7 +270,7 @@ mod tests {
     fn check_over(s: &mut Session, steps: &[Step], code: AbortCode) {
         assert!(matches!(steps.last(), Some(Step::Over { code: c, .. }) if *c == code), "{steps:?}");
         assert!(s.hello().is_none() && s.deadline().is_none());
-        assert_eq!(s.message(ToMaster::Leave, None), []);
+        assert_eq!(s.message(ToMaster::Leave, None, NOW), []);
         assert_eq!(s.tick(NOW * 100), []);
         assert_eq!(s.dismiss(), []);
     }
@@ -247,16 +279,19 @@ mod tests {
     fn a_worker_joins_takes_a_pack_and_renders() {
         let mut s = joined();
         assert_eq!(s.offer(PACK, 10, NOW), [Step::Send(ToWorker::PackOffer { pack: PACK, length: 10 })]);
-        assert_eq!(s.message(ToMaster::PackNeed { pack: PACK, have: false }, None), [Step::SendPack(PACK)]);
+        assert_eq!(
+            s.message(ToMaster::PackNeed { pack: PACK, have: false }, None, NOW),
+            [Step::SendPack(PACK)]
+        );
         assert!(!s.holds(PACK));
-        assert_eq!(s.message(ToMaster::PackReady { pack: PACK }, None), [Step::PackHeld]);
+        assert_eq!(s.message(ToMaster::PackReady { pack: PACK }, None, NOW), [Step::PackHeld]);
         assert!(s.holds(PACK));
         assert_eq!(s.offer(PACK, 10, NOW), [Step::PackHeld], "no second transfer");
         let rendered = ToMaster::Rendered { frame: FrameId(1), tiles: 2 };
-        assert_eq!(s.message(rendered.clone(), None), [Step::Rendered { frame: FrameId(1), tiles: 2 }]);
+        assert_eq!(s.message(rendered.clone(), None, NOW), [Step::Rendered { frame: FrameId(1), tiles: 2 }]);
         // Its pixels have come before it, and the next pack is on offer.
         s.offer(PackId([8; 32]), 10, NOW);
-        assert_eq!(s.message(rendered, None), [Step::Rendered { frame: FrameId(1), tiles: 2 }]);
+        assert_eq!(s.message(rendered, None, NOW), [Step::Rendered { frame: FrameId(1), tiles: 2 }]);
         assert!(s.awaits_pack());
         let steps = s.dismiss();
         assert_eq!(steps[0], Step::Send(ToWorker::Dismiss));
@@ -269,7 +304,7 @@ mod tests {
             let mut s = Session::new(WorkerId(0), NOW);
             let mut h = hello();
             change(&mut h);
-            let steps = s.message(ToMaster::Hello(h), class);
+            let steps = s.message(ToMaster::Hello(h), class, NOW);
             assert_eq!(steps[0], Step::Send(ToWorker::Refuse(refusal)));
             check_over(&mut s, &steps, AbortCode::Refused);
         };
@@ -310,12 +345,12 @@ mod tests {
         for message in wrong {
             let mut s = joined();
             s.offer(PACK, 10, NOW);
-            let steps = s.message(message, None);
+            let steps = s.message(message, None, NOW);
             assert!(matches!(steps[0], Step::Send(ToWorker::Abort { code: AbortCode::Unexpected, .. })));
             check_over(&mut s, &steps, AbortCode::Unexpected);
         }
         let mut s = Session::new(WorkerId(0), NOW);
-        let steps = s.message(ToMaster::Rendered { frame: FrameId(1), tiles: 1 }, None);
+        let steps = s.message(ToMaster::Rendered { frame: FrameId(1), tiles: 1 }, None, NOW);
         check_over(&mut s, &steps, AbortCode::Unexpected);
     }
 
@@ -325,7 +360,7 @@ mod tests {
         s.offer(PACK, 10, NOW);
         let reason = PackRefusal::OutOfMemory { needs: 10, has: 5 };
         assert_eq!(
-            s.message(ToMaster::PackRejected { pack: PACK, reason: reason.clone() }, None),
+            s.message(ToMaster::PackRejected { pack: PACK, reason: reason.clone() }, None, NOW),
             [Step::PackRejected(reason)]
         );
         assert!(s.hello().is_some() && !s.holds(PACK) && !s.awaits_pack() && s.deadline().is_none());
@@ -336,7 +371,7 @@ mod tests {
     fn a_worker_s_own_abort_ends_the_session_with_its_words() {
         let mut s = joined();
         let abort = ToMaster::Abort { code: AbortCode::Internal, detail: "render\n\x07panic".into() };
-        let steps = s.message(abort, None);
+        let steps = s.message(abort, None, NOW);
         let reason = "it says: internal failure: renderpanic".into();
         assert_eq!(steps, [Step::Over { code: AbortCode::Internal, reason }]);
     }

@@ -141,6 +141,7 @@ struct Driver {
 enum Event {
     Message(ToWorker),
     Rendered(Box<RenderedTile>),
+    RenderingStopped,
     RendererPanicked,
     BatchSent,
     PackReserved(PackId, Result<(), PackRefusal>),
@@ -167,6 +168,7 @@ impl Driver {
             // The driver may be gone; the thread then ends with it.
             let _ = tell.blocking_send(match event {
                 RenderEvent::Rendered(tile) => Event::Rendered(tile),
+                RenderEvent::Stopped => Event::RenderingStopped,
                 RenderEvent::Panicked => Event::RendererPanicked,
             });
         })
@@ -193,6 +195,7 @@ impl Driver {
                 Some(pack) => self.renderer.render(task, pack.clone()),
                 None => session.abort(AbortCode::Internal, "a tile without a pack".into()),
             },
+            Action::StopRendering => self.renderer.stop(),
             Action::Over(ending) => return Some(ending),
         }
         None
@@ -202,6 +205,7 @@ impl Driver {
         match event {
             Event::Message(message) => session.message(message),
             Event::Rendered(tile) => session.rendered(*tile),
+            Event::RenderingStopped => session.rendering_stopped(),
             Event::RendererPanicked => session.abort(AbortCode::Internal, "the renderer has panicked".into()),
             Event::BatchSent => session.batch_sent(),
             Event::PackReserved(pack, result) => session.pack_reserved(pack, result),

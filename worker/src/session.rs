@@ -7,7 +7,7 @@ use tessera_wire::{
 };
 
 /// State of one connection. Times are counted from its start.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Session {
     phase: Phase,
     /// Bytes that a pack may take, as far as known.
@@ -37,7 +37,7 @@ enum Holding {
     Held(PackId),
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Active {
     frame: Frame,
     grid: TileGrid,
@@ -63,6 +63,8 @@ pub enum Action {
     },
     /// Render a tile, then call [`Session::rendered`]. The next comes only after that.
     Render(RenderTask),
+    /// Nobody waits for the tile that is being rendered: stop it and call [`Session::rendering_stopped`], unless it is finished.
+    StopRendering,
     /// Send a batch, then call [`Session::batch_sent`].
     Return(Batch),
     /// Close the connection once everything before is sent.
@@ -178,6 +180,9 @@ impl Session {
             (Phase::Joined, ToWorker::EndFrame { frame }) => {
                 if self.frame.as_ref().is_some_and(|active| active.frame.frame == frame) {
                     self.frame = None;
+                    if self.rendering {
+                        self.actions.push_back(Action::StopRendering);
+                    }
                 } else {
                     self.abort(AbortCode::Unexpected, format!("frame {} is not the current one", frame.0));
                 }
@@ -248,6 +253,12 @@ impl Session {
                 self.actions.push_back(Action::Return(batch));
             }
         }
+        self.render_next();
+    }
+
+    /// What [`Action::StopRendering`] asked for is done.
+    pub fn rendering_stopped(&mut self) {
+        self.rendering = false;
         self.render_next();
     }
 
@@ -534,10 +545,16 @@ mod tests {
         s.message(ToWorker::EndFrame { frame: FrameId(1) });
         s.message(ToWorker::Frame(frame(2, ReturnMode::AtEnd)));
         assign(&mut s, 2, [3]);
-        assert_eq!(actions(&mut s), [], "the renderer is still busy");
+        assert_eq!(actions(&mut s), [Action::StopRendering], "the renderer is still busy");
+        // It may have been finished before it was stopped.
+        let mut finished = s.clone();
         let (time, rays) = (Duration::ZERO, Rays::default());
-        s.rendered(RenderedTile { task, pixels: vec![0; 16], time, rays });
+        finished.rendered(RenderedTile { task, pixels: vec![0; 16], time, rays });
+        assert_eq!(run(&mut finished), "r1");
+        s.rendering_stopped();
         assert_eq!(run(&mut s), "r1");
+        s.message(ToWorker::EndFrame { frame: FrameId(2) });
+        assert_eq!(actions(&mut s), [], "nothing is being rendered");
     }
 
     #[test]

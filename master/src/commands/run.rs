@@ -112,7 +112,7 @@ async fn frame(
     progress: &Progress,
 ) -> Result<Rendered, CommandError> {
     let begin = Instant::now();
-    let config = ClusterConfig { numeric_class: Some(NUMERIC_CLASS.to_owned()) };
+    let config = ClusterConfig { numeric_class: Some(NUMERIC_CLASS.to_owned()), ..ClusterConfig::default() };
     let mut cluster = {
         let _bar = progress.step("starting workers");
         Cluster::start(workers(crew, progress.log())?, config).await.map_err(CommandError::failed)?
@@ -138,6 +138,9 @@ fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
         tessera_master::Progress::Tiles { done, total } => {
             tracing::debug!("{done} of {total} tiles");
             bar.set(done.into(), total.into());
+        }
+        tessera_master::Progress::PackRejected { name, reason } => {
+            tracing::warn!("{name} cannot hold the scene: {reason}; the others render it");
         }
         tessera_master::Progress::WorkerLost { name, reason } => {
             tracing::warn!("{name} is lost: {reason}; the others go on");

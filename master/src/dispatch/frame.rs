@@ -1,7 +1,10 @@
 //! The tiles of one frame: who has which, and which are in.
 
-use super::{Balance, Deal, row_major_owner};
-use std::collections::{BTreeMap, VecDeque};
+use super::{Balance, Deal, pace::Pace, row_major_owner};
+use std::{
+    collections::{BTreeMap, VecDeque},
+    time::Duration,
+};
 use tessera_wire::{Attempt, TileGrid, TileId, WorkerId};
 
 /// Tiles that a worker of the dynamic balancing may hold: one is rendered while two wait, which hides a round
@@ -11,28 +14,42 @@ const PREFETCH: usize = 3;
 
 /// State of one frame.
 ///
-/// Results are idempotent: the first for a tile wins, whoever sends it; later ones are counted and dropped.
+/// Results are idempotent: the first for a tile wins, whoever sends it; later ones are counted and dropped. That lets a tile be with
+/// two workers: when nothing is left to hand out, a worker that idles is given the last tile of one that is late. No tile is with
+/// more than two, so that at most half of what is rendered is dropped, whatever happens.
 #[derive(Clone, Debug)]
 pub struct Dispatch {
     balance: Balance,
     tiles: Vec<Tile>,
     /// Not handed out, or handed out to a worker that was lost; may hold tiles that came in meanwhile.
     pool: VecDeque<TileId>,
-    /// Tiles handed out and not yet said to be rendered, by living worker.
-    queued: BTreeMap<WorkerId, u32>,
-    /// Tiles handed out whose pixels are missing, by living worker.
-    missing: BTreeMap<WorkerId, u32>,
+    /// Living workers.
+    crew: BTreeMap<WorkerId, Hand>,
+    /// Unfinished tiles that two living workers have.
+    shared: Vec<TileId>,
+    pace: Pace,
     done: u32,
     dropped: u64,
 }
 
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct Tile {
-    /// Times handed out.
-    handed: u32,
-    /// Who has it now.
-    holder: Option<WorkerId>,
+    /// Attempt `n` went to the `n`th.
+    attempts: Vec<WorkerId>,
     done: bool,
+}
+
+/// What a living worker has.
+#[derive(Clone, Debug, Default)]
+struct Hand {
+    /// Tiles handed out and not yet said to be rendered.
+    queued: u32,
+    /// Tiles handed out that are not in.
+    missing: u32,
+    /// Tiles that no other living worker has, in the order of handing out. The last one is unfinished; others may be finished.
+    alone_with: Vec<TileId>,
+    /// When it last made progress, or was given work while it had none.
+    since: Duration,
 }
 
 /// Tiles for a worker, to be rendered in this order.
@@ -68,85 +85,129 @@ pub enum Violation {
 }
 
 impl Dispatch {
-    /// A frame that nobody has begun, and the first tiles for each of `workers`.
-    pub fn start(grid: &TileGrid, balance: Balance, workers: &[WorkerId]) -> (Self, Vec<Assignment>) {
+    /// A frame that nobody has begun, of `samples` a pixel, and the first tiles for each of `workers`.
+    pub fn start(
+        grid: &TileGrid,
+        balance: Balance,
+        samples: u32,
+        workers: &[WorkerId],
+        now: Duration,
+    ) -> (Self, Vec<Assignment>) {
         let mut this = Self {
             balance,
             tiles: vec![Tile::default(); grid.tiles() as usize],
             pool: (0..grid.tiles()).map(TileId).collect(),
-            queued: workers.iter().map(|&worker| (worker, 0)).collect(),
-            missing: workers.iter().map(|&worker| (worker, 0)).collect(),
+            crew: workers.iter().map(|&worker| (worker, Hand::default())).collect(),
+            shared: Vec::new(),
+            pace: Pace::new(balance, grid.largest_tile_pixels() * u64::from(samples)),
             done: 0,
             dropped: 0,
         };
-        let assignments = if workers.is_empty() {
-            Vec::new()
-        } else {
-            match balance {
-                Balance::PaperStatic => {
-                    this.deal(workers, |tile| row_major_owner(tile, workers.len() as u32))
-                }
-                Balance::Static => {
-                    let deal = Deal::new(grid, workers.len() as u32);
-                    this.deal(workers, |tile| deal.owner(tile))
-                }
-                Balance::PaperDynamic | Balance::Dynamic => this.hand_out(),
+        let count = workers.len() as u32;
+        let assignments = match balance {
+            Balance::PaperStatic if count > 0 => this.deal(workers, |tile| row_major_owner(tile, count), now),
+            Balance::Static if count > 0 => {
+                let deal = Deal::new(grid, count);
+                this.deal(workers, |tile| deal.owner(tile), now)
             }
+            _ => this.hand_out(now),
         };
         (this, assignments)
     }
 
+    /// `worker` takes part from now on: it is given what nobody has, and then what late workers have. In the static balancings the
+    /// first is what lost workers had.
+    pub fn join(&mut self, worker: WorkerId, now: Duration) -> Vec<Assignment> {
+        self.crew.entry(worker).or_default();
+        self.hand_out(now)
+    }
+
     /// `worker` has rendered `tiles` more tiles; what it gets next.
-    pub fn rendered(&mut self, worker: WorkerId, tiles: u32) -> Result<Vec<Assignment>, Violation> {
-        let Some(queued) = self.queued.get_mut(&worker) else { return Ok(Vec::new()) };
-        let wrong = Violation::Rendered { tiles, queued: *queued };
-        *queued = queued.checked_sub(tiles).filter(|_| tiles > 0).ok_or(wrong)?;
-        Ok(self.hand_out())
+    pub fn rendered(
+        &mut self,
+        worker: WorkerId,
+        tiles: u32,
+        now: Duration,
+    ) -> Result<Vec<Assignment>, Violation> {
+        let Some(hand) = self.crew.get_mut(&worker) else { return Ok(Vec::new()) };
+        let wrong = Violation::Rendered { tiles, queued: hand.queued };
+        hand.queued = hand.queued.checked_sub(tiles).filter(|_| tiles > 0).ok_or(wrong)?;
+        self.pace.note(tiles, now.saturating_sub(hand.since));
+        hand.since = now;
+        Ok(self.hand_out(now))
     }
 
     /// Takes a result: `true` if it is the first for its tile, `false` if it must be dropped.
-    pub fn accept(&mut self, worker: WorkerId, tile: TileId, attempt: Attempt) -> Result<bool, Violation> {
-        let wrong = Violation::NotAssigned { tile: tile.0, attempt: attempt.0 };
-        let Some(state) = self.tiles.get_mut(tile.0 as usize) else { return Err(wrong) };
-        // The latest attempt belongs to its holder; an earlier one may still come from a worker that left in
-        // between.
-        let latest = attempt.0 + 1 == state.handed;
-        if attempt.0 >= state.handed || (latest && state.holder.is_some_and(|holder| holder != worker)) {
-            return Err(wrong);
-        }
+    pub fn accept(
+        &mut self,
+        worker: WorkerId,
+        tile: TileId,
+        attempt: Attempt,
+        now: Duration,
+    ) -> Result<bool, Violation> {
+        let state = self.tiles.get_mut(tile.0 as usize);
+        let Some(state) = state.filter(|state| state.attempts.get(attempt.0 as usize) == Some(&worker))
+        else {
+            return Err(Violation::NotAssigned { tile: tile.0, attempt: attempt.0 });
+        };
         if state.done {
             self.dropped += 1;
             return Ok(false);
         }
         state.done = true;
         self.done += 1;
-        if let Some(missing) = state.holder.and_then(|holder| self.missing.get_mut(&holder)) {
-            *missing -= 1;
+        if let Some(hand) = self.crew.get_mut(&worker) {
+            hand.since = now;
         }
+        for holder in self.tiles[tile.0 as usize].attempts.clone() {
+            if let Some(hand) = self.crew.get_mut(&holder) {
+                hand.missing -= 1;
+                hand.trim(&self.tiles);
+            }
+        }
+        self.shared.retain(|&other| other != tile);
         Ok(true)
     }
 
     /// `worker` is gone; who gets its unfinished tiles. With no worker left they wait (see
     /// [`Dispatch::workers`]).
-    pub fn lost(&mut self, worker: WorkerId) -> Vec<Assignment> {
-        if self.queued.remove(&worker).is_none() {
-            return Vec::new();
-        }
-        self.missing.remove(&worker);
-        for (id, tile) in self.tiles.iter_mut().enumerate().rev() {
-            if tile.holder == Some(worker) {
-                tile.holder = None;
-                if !tile.done {
-                    self.pool.push_front(TileId(id as u32));
-                }
+    pub fn lost(&mut self, worker: WorkerId, now: Duration) -> Vec<Assignment> {
+        let Some(hand) = self.crew.remove(&worker) else { return Vec::new() };
+        for tile in hand.alone_with.into_iter().rev() {
+            if !self.tiles[tile.0 as usize].done {
+                self.pool.push_front(tile);
             }
         }
-        self.hand_out()
+        for tile in std::mem::take(&mut self.shared) {
+            let attempts = &self.tiles[tile.0 as usize].attempts;
+            let holders: Vec<_> = attempts.iter().filter(|holder| self.crew.contains_key(holder)).collect();
+            match holders[..] {
+                [&left] => self.crew.entry(left).or_default().alone_with.push(tile),
+                _ => self.shared.push(tile),
+            }
+        }
+        self.hand_out(now)
+    }
+
+    /// When [`Dispatch::tick`] has something to hand out, or [`Dispatch::stalled`] a worker to name, if nothing comes before.
+    pub fn deadline(&self) -> Option<Duration> {
+        let late = self.late().map(|(at, ..)| at);
+        late.chain(self.stalls().map(|(_, at)| at)).min()
+    }
+
+    /// Time has passed: tiles of workers that are late now, for those that idle.
+    pub fn tick(&mut self, now: Duration) -> Vec<Assignment> {
+        self.hand_out(now)
+    }
+
+    /// Workers that are silent for so long that they must be taken for dead, alive or not.
+    pub fn stalled(&self, now: Duration) -> impl Iterator<Item = WorkerId> {
+        self.stalls().filter(move |&(_, at)| at <= now).map(|(worker, _)| worker)
     }
 
     /// Whether `worker` has nothing left to render and pixels to return.
     pub fn owes(&self, worker: WorkerId) -> bool {
-        self.queued.get(&worker) == Some(&0) && self.missing.get(&worker).is_some_and(|&n| n > 0)
+        self.crew.get(&worker).is_some_and(|hand| hand.queued == 0 && hand.missing > 0)
     }
 
     /// Whether the frame is complete.
@@ -166,12 +227,12 @@ impl Dispatch {
 
     /// Living workers.
     pub fn workers(&self) -> usize {
-        self.queued.len()
+        self.crew.len()
     }
 
     /// Whether every tile that is with a living worker is said to be rendered.
     pub fn all_rendered(&self) -> bool {
-        self.pool.is_empty() && self.queued.values().all(|&n| n == 0)
+        self.pool.is_empty() && self.crew.values().all(|hand| hand.queued == 0)
     }
 
     /// Results that came twice and were dropped.
@@ -180,33 +241,45 @@ impl Dispatch {
     }
 
     /// Gives every tile of the pool to its owner, an index into `workers`.
-    fn deal(&mut self, workers: &[WorkerId], owner: impl Fn(TileId) -> u32) -> Vec<Assignment> {
-        let mut lists = vec![Vec::new(); workers.len()];
+    fn deal(
+        &mut self,
+        workers: &[WorkerId],
+        owner: impl Fn(TileId) -> u32,
+        now: Duration,
+    ) -> Vec<Assignment> {
+        let mut handed = Handed::default();
         while let Some(tile) = self.pool.pop_front() {
-            lists[owner(tile) as usize].push(tile);
+            self.give(workers[owner(tile) as usize], tile, now, &mut handed);
         }
-        let pairs = workers.iter().zip(lists).flat_map(|(&w, list)| list.into_iter().map(move |t| (w, t)));
-        self.record(pairs.collect())
+        handed.into_assignments()
     }
 
-    /// Gives tiles of the pool to whoever has fewest, as far as the balancing lets workers hold them.
-    fn hand_out(&mut self) -> Vec<Assignment> {
-        let mut pairs = Vec::new();
-        let mut queued = self.queued.clone();
+    /// Gives tiles of the pool to whoever has fewest, as far as the balancing lets workers hold them; when it is empty, the last tiles
+    /// of late workers to those that have none.
+    fn hand_out(&mut self, now: Duration) -> Vec<Assignment> {
+        let mut handed = Handed::default();
         while let Some(&tile) = self.pool.front() {
             if self.tiles[tile.0 as usize].done {
                 self.pool.pop_front();
                 continue;
             }
-            let Some((&worker, count)) = queued.iter_mut().min_by_key(|(_, count)| **count) else { break };
-            if *count as usize >= self.credit() {
+            let Some((&worker, hand)) = self.crew.iter().min_by_key(|(_, hand)| hand.queued) else { break };
+            if hand.queued as usize >= self.credit() {
                 break;
             }
-            *count += 1;
             self.pool.pop_front();
-            pairs.push((worker, tile));
+            self.give(worker, tile, now, &mut handed);
         }
-        self.record(pairs)
+        while let Some((_, late, idle)) = self.late().filter(|&(at, ..)| at <= now).min() {
+            // Its last, and not the one that it is at: if it is only slow, the two meet in the middle.
+            let Some(tile) = self.crew.get_mut(&late).and_then(|hand| hand.alone_with.pop()) else { break };
+            if let Some(hand) = self.crew.get_mut(&late) {
+                hand.trim(&self.tiles);
+            }
+            self.shared.push(tile);
+            self.give(idle, tile, now, &mut handed);
+        }
+        handed.into_assignments()
     }
 
     /// Tiles that a worker may hold now.
@@ -214,23 +287,59 @@ impl Dispatch {
         match self.balance {
             Balance::PaperStatic | Balance::Static => usize::MAX,
             Balance::PaperDynamic => 1,
-            Balance::Dynamic => (self.pool.len() / self.queued.len().max(1)).clamp(1, PREFETCH),
+            Balance::Dynamic => (self.pool.len() / self.crew.len().max(1)).clamp(1, PREFETCH),
         }
     }
 
-    /// Notes that tiles are handed out, and joins those of one worker and attempt.
-    fn record(&mut self, pairs: Vec<(WorkerId, TileId)>) -> Vec<Assignment> {
-        let mut joined: BTreeMap<(WorkerId, u32), Vec<TileId>> = BTreeMap::new();
-        for (worker, id) in pairs {
-            let tile = &mut self.tiles[id.0 as usize];
-            joined.entry((worker, tile.handed)).or_default().push(id);
-            tile.handed += 1;
-            tile.holder = Some(worker);
-            *self.queued.entry(worker).or_default() += 1;
-            *self.missing.entry(worker).or_default() += 1;
+    /// Workers with unfinished tiles that another one could render as well: from when on they are late, and who that is.
+    fn late(&self) -> impl Iterator<Item = (Duration, WorkerId, WorkerId)> {
+        // Nobody idles while the pool has tiles. Two are enough to find one that is another.
+        let mut idle = self.crew.iter().filter(|(_, hand)| hand.queued == 0).map(|(&worker, _)| worker);
+        let idle = if self.pool.is_empty() { [idle.next(), idle.next()] } else { [None, None] };
+        self.crew.iter().filter(|(_, hand)| !hand.alone_with.is_empty()).filter_map(move |(&worker, hand)| {
+            let other = idle.into_iter().flatten().find(|&other| other != worker)?;
+            Some((hand.since + self.pace.late_after(hand.queued), worker, other))
+        })
+    }
+
+    /// Workers that have tiles to render, and when each must be taken for dead.
+    fn stalls(&self) -> impl Iterator<Item = (WorkerId, Duration)> {
+        let busy = self.crew.iter().filter(|(_, hand)| hand.queued > 0);
+        busy.map(|(&worker, hand)| (worker, hand.since + self.pace.stalled_after(hand.queued)))
+    }
+
+    /// Notes that a tile is handed out.
+    fn give(&mut self, worker: WorkerId, id: TileId, now: Duration, handed: &mut Handed) {
+        let tile = &mut self.tiles[id.0 as usize];
+        handed.0.entry((worker, tile.attempts.len() as u32)).or_default().push(id);
+        tile.attempts.push(worker);
+        let hand = self.crew.entry(worker).or_default();
+        if hand.queued == 0 {
+            hand.since = now;
         }
+        hand.queued += 1;
+        hand.missing += 1;
+        if !self.shared.contains(&id) {
+            hand.alone_with.push(id);
+        }
+    }
+}
+
+impl Hand {
+    /// Keeps the promise of `alone_with`.
+    fn trim(&mut self, tiles: &[Tile]) {
+        while self.alone_with.pop_if(|tile| tiles[tile.0 as usize].done).is_some() {}
+    }
+}
+
+/// Tiles handed out at once, by worker and attempt.
+#[derive(Default)]
+struct Handed(BTreeMap<(WorkerId, u32), Vec<TileId>>);
+
+impl Handed {
+    fn into_assignments(self) -> Vec<Assignment> {
         let assignment = |((worker, attempt), tiles)| Assignment { worker, attempt: Attempt(attempt), tiles };
-        joined.into_iter().map(assignment).collect()
+        self.0.into_iter().map(assignment).collect()
     }
 }
 
@@ -238,12 +347,16 @@ impl Dispatch {
 mod tests {
     use super::*;
 
+    const NOW: Duration = Duration::from_secs(100);
+    const SECOND: Duration = Duration::from_secs(1);
+
     fn workers(count: u32) -> Vec<WorkerId> {
         (0..count).map(WorkerId).collect()
     }
 
-    fn grid(tiles: u32) -> TileGrid {
-        TileGrid::new(tiles, 1, 1).unwrap()
+    /// A frame of `tiles` tiles of one sample each.
+    fn start(tiles: u32, balance: Balance, count: u32) -> (Dispatch, Vec<Assignment>) {
+        Dispatch::start(&TileGrid::new(tiles, 1, 1).unwrap(), balance, 1, &workers(count), NOW)
     }
 
     fn given(assignments: &[Assignment], worker: u32) -> Vec<u32> {
@@ -253,7 +366,7 @@ mod tests {
 
     #[test]
     fn each_balancing_hands_out_what_it_promises() {
-        let start = |balance| Dispatch::start(&grid(64), balance, &workers(4)).1;
+        let start = |balance| start(64, balance, 4).1;
         let paper = start(Balance::PaperStatic);
         assert_eq!(given(&paper, 1), (0..16).map(|i| 4 * i + 1).collect::<Vec<_>>());
         assert_eq!(start(Balance::Static).iter().map(|a| a.tiles.len()).sum::<usize>(), 64);
@@ -265,98 +378,183 @@ mod tests {
 
     #[test]
     fn the_last_tiles_of_the_dynamic_balancing_are_not_hoarded() {
-        let (mut d, first) = Dispatch::start(&grid(9), Balance::Dynamic, &workers(4));
+        let (mut d, first) = start(9, Balance::Dynamic, 4);
         // 9 tiles, 4 workers: two each would leave one; the credit falls to one when fewer than 8 are left.
         let held = (0..4).map(|w| given(&first, w).len()).collect::<Vec<_>>();
         assert!(held.iter().all(|&n| n <= 2), "{held:?}");
         while !d.pool.is_empty() {
             for w in workers(4) {
-                if d.queued[&w] > 0 {
-                    d.rendered(w, 1).unwrap();
+                if d.crew[&w].queued > 0 {
+                    d.rendered(w, 1, NOW).unwrap();
                 }
             }
         }
-        assert!(d.queued.values().all(|&n| n <= 1));
+        assert!(d.crew.values().all(|hand| hand.queued <= 1));
     }
 
     #[test]
     fn the_first_result_wins_and_duplicates_are_counted() {
-        let (mut d, _) = Dispatch::start(&grid(2), Balance::PaperStatic, &workers(2));
-        assert_eq!(d.accept(WorkerId(0), TileId(0), Attempt(0)), Ok(true));
-        assert_eq!(d.accept(WorkerId(0), TileId(0), Attempt(0)), Ok(false));
+        let (mut d, _) = start(2, Balance::PaperStatic, 2);
+        assert_eq!(d.accept(WorkerId(0), TileId(0), Attempt(0), NOW), Ok(true));
+        assert_eq!(d.accept(WorkerId(0), TileId(0), Attempt(0), NOW), Ok(false));
         assert_eq!(d.dropped(), 1);
         assert!(!d.is_done());
-        assert_eq!(d.accept(WorkerId(1), TileId(1), Attempt(0)), Ok(true));
+        assert_eq!(d.accept(WorkerId(1), TileId(1), Attempt(0), NOW), Ok(true));
         assert!(d.is_done());
     }
 
     #[test]
     fn what_was_not_given_is_a_violation() {
-        let (mut d, _) = Dispatch::start(&grid(4), Balance::PaperDynamic, &workers(2));
+        let (mut d, _) = start(4, Balance::PaperDynamic, 2);
         let wrong = |tile, attempt| Err(Violation::NotAssigned { tile, attempt });
-        assert_eq!(d.accept(WorkerId(1), TileId(0), Attempt(0)), wrong(0, 0));
-        assert_eq!(d.accept(WorkerId(0), TileId(0), Attempt(1)), wrong(0, 1));
-        assert_eq!(d.accept(WorkerId(0), TileId(3), Attempt(0)), wrong(3, 0));
-        assert_eq!(d.accept(WorkerId(0), TileId(4), Attempt(0)), wrong(4, 0));
-        assert_eq!(d.accept(WorkerId(0), TileId(u32::MAX), Attempt(u32::MAX)), wrong(u32::MAX, u32::MAX));
+        assert_eq!(d.accept(WorkerId(1), TileId(0), Attempt(0), NOW), wrong(0, 0));
+        assert_eq!(d.accept(WorkerId(0), TileId(0), Attempt(1), NOW), wrong(0, 1));
+        assert_eq!(d.accept(WorkerId(0), TileId(3), Attempt(0), NOW), wrong(3, 0));
+        assert_eq!(d.accept(WorkerId(0), TileId(4), Attempt(0), NOW), wrong(4, 0));
+        assert_eq!(
+            d.accept(WorkerId(0), TileId(u32::MAX), Attempt(u32::MAX), NOW),
+            wrong(u32::MAX, u32::MAX)
+        );
         for tiles in [0, 2] {
-            assert_eq!(d.rendered(WorkerId(0), tiles), Err(Violation::Rendered { tiles, queued: 1 }));
+            assert_eq!(d.rendered(WorkerId(0), tiles, NOW), Err(Violation::Rendered { tiles, queued: 1 }));
         }
     }
 
     #[test]
     fn pixels_are_owed_once_everything_is_rendered() {
-        let (mut d, _) = Dispatch::start(&grid(3), Balance::PaperStatic, &workers(2));
+        let (mut d, _) = start(3, Balance::PaperStatic, 2);
         let first = WorkerId(0);
-        d.rendered(first, 1).unwrap();
+        d.rendered(first, 1, NOW).unwrap();
         assert!(!d.owes(first), "it renders the other");
-        d.rendered(first, 1).unwrap();
+        d.rendered(first, 1, NOW).unwrap();
         assert!(d.owes(first) && !d.owes(WorkerId(1)));
-        d.accept(first, TileId(0), Attempt(0)).unwrap();
-        d.accept(first, TileId(0), Attempt(0)).unwrap();
+        d.accept(first, TileId(0), Attempt(0), NOW).unwrap();
+        d.accept(first, TileId(0), Attempt(0), NOW).unwrap();
         assert!(d.owes(first), "one tile twice is not two tiles");
-        d.lost(WorkerId(1));
+        d.lost(WorkerId(1), NOW);
         assert!(!d.owes(first), "it has the tile of the other");
-        d.rendered(first, 1).unwrap();
+        d.rendered(first, 1, NOW).unwrap();
         // The other's result still comes.
-        d.accept(WorkerId(1), TileId(1), Attempt(0)).unwrap();
-        d.accept(first, TileId(2), Attempt(0)).unwrap();
+        d.accept(WorkerId(1), TileId(1), Attempt(0), NOW).unwrap();
+        d.accept(first, TileId(2), Attempt(0), NOW).unwrap();
         assert!(!d.owes(first) && !d.owes(WorkerId(1)) && d.is_done());
     }
 
     #[test]
     fn a_lost_worker_s_tiles_go_to_the_others_and_its_late_results_still_count() {
         for balance in Balance::ALL {
-            let (mut d, first) = Dispatch::start(&grid(12), balance, &workers(3));
+            let (mut d, first) = start(12, balance, 3);
             let mine = given(&first, 1);
-            assert_eq!(d.accept(WorkerId(1), TileId(mine[0]), Attempt(0)), Ok(true));
-            let again = d.lost(WorkerId(1));
+            assert_eq!(d.accept(WorkerId(1), TileId(mine[0]), Attempt(0), NOW), Ok(true));
+            let again = d.lost(WorkerId(1), NOW);
             assert!(again.iter().all(|a| a.worker != WorkerId(1)));
             assert!(!again.iter().any(|a| a.tiles.contains(&TileId(mine[0]))), "{balance}");
-            assert_eq!(d.lost(WorkerId(1)), []);
+            assert_eq!(d.lost(WorkerId(1), NOW), []);
             if let Some(&late) = mine.get(1) {
                 // In flight when the worker left: it may win over the next attempt, whose result is then
                 // dropped.
-                assert_eq!(d.accept(WorkerId(1), TileId(late), Attempt(0)), Ok(true));
+                assert_eq!(d.accept(WorkerId(1), TileId(late), Attempt(0), NOW), Ok(true));
             }
-            assert_eq!(d.rendered(WorkerId(1), 1), Ok(Vec::new()), "words of the dead are ignored");
+            assert_eq!(d.rendered(WorkerId(1), 1, NOW), Ok(Vec::new()), "words of the dead are ignored");
         }
     }
 
     #[test]
+    fn a_late_worker_s_last_tile_goes_to_one_that_idles() {
+        let (mut d, first) = start(2, Balance::PaperDynamic, 2);
+        assert_eq!((given(&first, 0), given(&first, 1)), (vec![0], vec![1]));
+        assert_eq!(d.deadline(), Some(NOW + d.pace.stalled_after(1)), "nobody idles");
+        assert_eq!(d.rendered(WorkerId(1), 1, NOW + SECOND), Ok(vec![]), "worker 0 may take as long");
+        let late = d.deadline().unwrap();
+        assert_eq!(late, NOW + 2 * SECOND, "two means");
+        assert_eq!(d.tick(late - Duration::from_nanos(1)), []);
+        let again = d.tick(late);
+        assert_eq!(again, [Assignment { worker: WorkerId(1), attempt: Attempt(1), tiles: vec![TileId(0)] }]);
+        assert_eq!(d.tick(late * 2), [], "a tile is with two workers at most");
+        assert_eq!(
+            d.accept(WorkerId(0), TileId(0), Attempt(1), NOW),
+            Err(Violation::NotAssigned { tile: 0, attempt: 1 })
+        );
+        assert_eq!(d.accept(WorkerId(1), TileId(1), Attempt(0), NOW), Ok(true));
+        assert_eq!(d.accept(WorkerId(0), TileId(0), Attempt(0), NOW), Ok(true), "the first attempt may win");
+        assert_eq!(d.accept(WorkerId(1), TileId(0), Attempt(1), NOW), Ok(false));
+        assert!(d.is_done() && d.dropped() == 1);
+        assert!(!d.owes(WorkerId(0)) && !d.owes(WorkerId(1)), "nothing is missing from either");
+    }
+
+    #[test]
+    fn the_static_balancings_wait_longer_and_take_from_the_end() {
+        let (mut d, first) = start(8, Balance::PaperStatic, 2);
+        assert_eq!(given(&first, 0), [0, 2, 4, 6]);
+        d.rendered(WorkerId(1), 4, NOW + 8 * SECOND).unwrap();
+        // Four times two seconds a tile, for a list of four.
+        assert_eq!(d.tick(NOW + 31 * SECOND), []);
+        assert_eq!(given(&d.tick(NOW + 32 * SECOND), 1), [6]);
+        assert_eq!(given(&d.rendered(WorkerId(1), 1, NOW + 33 * SECOND).unwrap(), 1), [4]);
+        // Worker 0 is not dead, only slow.
+        assert_eq!(d.rendered(WorkerId(0), 4, NOW + 34 * SECOND), Ok(vec![]));
+        assert!(d.owes(WorkerId(0)));
+    }
+
+    #[test]
+    fn the_second_holder_of_a_tile_keeps_it_when_the_first_is_lost_and_the_other_way_round() {
+        for gone in [0, 1] {
+            let (mut d, _) = start(1, Balance::Dynamic, 3);
+            assert_eq!(given(&d.tick(NOW + SECOND), 1), [0], "worker 1 has no tile");
+            // The other still has it: worker 2 gets it once that one is late too, which worker 0 is.
+            let third = d.lost(WorkerId(gone), NOW + SECOND);
+            assert_eq!(third.is_empty(), gone == 0);
+            let third = [third, d.tick(NOW + 10 * SECOND)].concat();
+            assert_eq!(
+                third,
+                [Assignment { worker: WorkerId(2), attempt: Attempt(2), tiles: vec![TileId(0)] }]
+            );
+            d.lost(WorkerId(1 - gone), NOW);
+            assert_eq!(d.lost(WorkerId(2), NOW), []);
+            assert_eq!(given(&d.join(WorkerId(7), NOW), 7), [0], "nobody else has it");
+            assert_eq!(d.accept(WorkerId(7), TileId(0), Attempt(3), NOW), Ok(true));
+        }
+    }
+
+    #[test]
+    fn those_that_join_late_get_what_is_there() {
+        let (mut d, _) = start(64, Balance::Dynamic, 1);
+        assert_eq!(given(&d.join(WorkerId(5), NOW), 5).len(), PREFETCH);
+        let (mut d, _) = start(64, Balance::Static, 2);
+        assert_eq!(d.join(WorkerId(5), NOW), [], "all is dealt");
+        let mine = d.crew[&WorkerId(0)].alone_with.clone();
+        assert_eq!(given(&d.lost(WorkerId(0), NOW), 5).len(), mine.len(), "it had nothing to do");
+        // Nobody was there at the start.
+        let (mut d, _) = start(64, Balance::Static, 0);
+        assert_eq!(given(&d.join(WorkerId(5), NOW), 5).len(), 64);
+    }
+
+    #[test]
+    fn a_worker_that_never_finishes_is_named_in_the_end() {
+        let (mut d, _) = start(1, Balance::Dynamic, 1);
+        let deadline = d.deadline().unwrap();
+        assert_eq!(deadline, NOW + d.pace.stalled_after(1), "nobody could help it");
+        assert_eq!(d.stalled(deadline - Duration::from_nanos(1)).count(), 0);
+        assert_eq!(d.stalled(deadline).collect::<Vec<_>>(), [WorkerId(0)]);
+        d.accept(WorkerId(0), TileId(0), Attempt(0), NOW).unwrap();
+        d.rendered(WorkerId(0), 1, NOW).unwrap();
+        assert_eq!(d.deadline(), None);
+    }
+
+    #[test]
     fn all_lost_leaves_the_tiles_waiting() {
-        let (mut d, _) = Dispatch::start(&grid(3), Balance::Static, &workers(2));
-        assert!(!d.lost(WorkerId(0)).is_empty());
-        assert_eq!(d.lost(WorkerId(1)), []);
+        let (mut d, _) = start(3, Balance::Static, 2);
+        assert!(!d.lost(WorkerId(0), NOW).is_empty());
+        assert_eq!(d.lost(WorkerId(1), NOW), []);
         assert_eq!((d.workers(), d.is_done(), d.done()), (0, false, 0));
     }
 
     #[test]
     fn more_workers_than_tiles() {
         for balance in Balance::ALL {
-            let (mut d, first) = Dispatch::start(&grid(1), balance, &workers(16));
+            let (mut d, first) = start(1, balance, 16);
             assert_eq!(first.len(), 1, "{balance}");
-            assert_eq!(d.accept(first[0].worker, TileId(0), Attempt(0)), Ok(true));
+            assert_eq!(d.accept(first[0].worker, TileId(0), Attempt(0), NOW), Ok(true));
             assert!(d.is_done());
         }
     }

@@ -2,6 +2,7 @@
 
 mod deal;
 mod frame;
+mod pace;
 
 pub use deal::{Deal, row_major_owner};
 pub use frame::{Assignment, Dispatch, Violation};

@@ -1,6 +1,7 @@
 //! Tiles on all cores.
 
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, Ordering};
 use tessera_geometry::{LocalCamera, Vec3};
 use tessera_pack::Pack;
 use tessera_whitted::{self as whitted, FrameParams, PixelBlock, RayCounts, Renderer};
@@ -14,30 +15,42 @@ pub(crate) const NAME: &str = "cpu";
 /// each other's work.
 const BLOCK_PIXELS: u32 = 256;
 
+/// Pixels that one task renders at least, however many samples they have: as many as the tracer takes together. Between blocks a
+/// thread looks whether its work is still wanted, so that with 65,536 samples a pixel it stops within a second.
+const LEAST_BLOCK_PIXELS: u32 = 8;
+
 /// Renders `rect` of `frame` with the threads of the current rayon pool: pixels in the frame's format, and
-/// the rays traced.
-pub(crate) fn render(pack: &Pack, frame: &Frame, rect: Rect) -> (Vec<u8>, Rays) {
+/// the rays traced. `None` when `stop` was set meanwhile.
+pub(crate) fn render(pack: &Pack, frame: &Frame, rect: Rect, stop: &AtomicBool) -> Option<(Vec<u8>, Rays)> {
     let params = params(frame);
     let pixel_bytes = params.format.bytes_per_pixel();
     // `Frame::check` bounds a tile's bytes by `limits::TILE_BYTES`.
     let mut pixels = vec![0; rect.width as usize * rect.height as usize * pixel_bytes];
     let renderer = Renderer::new(pack);
-    let counts = split(rect, pixel_bytes, &mut pixels)
+    let block_pixels = (BLOCK_PIXELS / frame.samples.max(1)).max(LEAST_BLOCK_PIXELS);
+    let counts = split(rect, block_pixels, pixel_bytes, &mut pixels)
         .into_par_iter()
-        .map(|(block, out)| renderer.render_block(&params, block, out))
-        .reduce(RayCounts::default, |mut a, b| {
+        .map(|(block, out)| {
+            (!stop.load(Ordering::Relaxed)).then(|| renderer.render_block(&params, block, out))
+        })
+        .try_reduce(RayCounts::default, |mut a, b| {
             a += b;
-            a
+            Some(a)
         });
-    let RayCounts { primary, shadow, reflection, refraction } = counts;
-    (pixels, Rays { primary, shadow, reflection, refraction })
+    let RayCounts { primary, shadow, reflection, refraction } = counts?;
+    Some((pixels, Rays { primary, shadow, reflection, refraction }))
 }
 
-/// Cuts `rect` into blocks whose pixels lie together in `pixels`: whole rows where they are short, pieces of
+/// Cuts `rect` into blocks of at most `block_pixels` that lie together in `pixels`: whole rows where they are short, pieces of
 /// rows where they are long.
-fn split(rect: Rect, pixel_bytes: usize, mut pixels: &mut [u8]) -> Vec<(PixelBlock, &mut [u8])> {
-    let columns = rect.width.min(BLOCK_PIXELS);
-    let rows = if columns < rect.width { 1 } else { (BLOCK_PIXELS / columns).max(1) };
+fn split(
+    rect: Rect,
+    block_pixels: u32,
+    pixel_bytes: usize,
+    mut pixels: &mut [u8],
+) -> Vec<(PixelBlock, &mut [u8])> {
+    let columns = rect.width.min(block_pixels);
+    let rows = if columns < rect.width { 1 } else { (block_pixels / columns).max(1) };
     let mut blocks = Vec::new();
     for y in (0..rect.height).step_by(rows as usize) {
         for x in (0..rect.width).step_by(columns as usize) {
@@ -97,12 +110,13 @@ mod tests {
 
     #[test]
     fn blocks_cover_a_tile_in_the_order_of_its_bytes() {
-        for (width, height) in [(1, 1), (128, 128), (100, 7), (1000, 3), (256, 2), (257, 2), (1, 1000)] {
+        let sizes = [(1, 1), (128, 128), (100, 7), (1000, 3), (256, 2), (257, 2), (1, 1000)];
+        for ((width, height), most) in sizes.into_iter().flat_map(|size| [(size, BLOCK_PIXELS), (size, 8)]) {
             let rect = Rect { x: 5, y: 9, width, height };
             let mut pixels = vec![0u8; (width * height) as usize];
             let mut next = 0;
-            for (block, bytes) in split(rect, 1, &mut pixels) {
-                assert!(block.width * block.height <= BLOCK_PIXELS.max(width.min(BLOCK_PIXELS)));
+            for (block, bytes) in split(rect, most, 1, &mut pixels) {
+                assert!(block.width * block.height <= most);
                 // Whole rows, or a piece of one row: contiguous in a row-major tile.
                 assert!(block.width == width || block.height == 1);
                 let first = (block.y - rect.y) * width + (block.x - rect.x);

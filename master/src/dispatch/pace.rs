@@ -1,0 +1,121 @@
+//! What the tiles of a frame have cost so far, and how long that lets a silent worker be trusted.
+
+use super::Balance;
+use std::time::Duration;
+use tessera_wire::ReturnMode;
+
+/// Costs by the master's clock: from a worker's last sign of progress to its word that it has rendered.
+#[derive(Clone, Debug)]
+pub(super) struct Pace {
+    balance: Balance,
+    /// Samples of the largest tile.
+    samples: u64,
+    tiles: u32,
+    sum: Duration,
+    slowest: Duration,
+}
+
+impl Pace {
+    /// An idle worker of a pull balancing renders a tile again when its holder was silent for so many mean tiles: by then it is
+    /// slow, or the tile is hard. Less would render tiles twice that are about to come.
+    const LATE_MEANS: u32 = 2;
+
+    /// And not before this: a frame that is later by so much is later by an eyelid's blink, and a packet that was lost, or a busy
+    /// machine, takes as long.
+    const LATE_LEAST: Duration = Duration::from_millis(500);
+
+    /// The static balancings deal once, and a slow worker is the price of that. They ask others only when a worker was silent for so
+    /// many of the slowest tiles: tiles of one frame differ by an order of magnitude, but by then most have been seen.
+    const DEAL_LATE_SLOWEST: u32 = 4;
+
+    /// And not before this: a machine that is gone is lost after `limits::IDLE_TIMEOUT`, which hands its tiles out exactly once.
+    const DEAL_LATE_LEAST: Duration = Duration::from_secs(5);
+
+    /// A worker is given up when it was silent for so many of the slowest tiles,
+    const STALLED_SLOWEST: u32 = 10;
+
+    /// but not before a machine that swaps or was suspended had time to recover,
+    const STALLED_LEAST: Duration = Duration::from_secs(60);
+
+    /// and, as nothing is known of a frame's first tiles, not before a worker ten times slower than one that is still of use had
+    /// rendered the tile: a sample with its secondary rays takes microseconds, in the worst scenes a millisecond.
+    const STALLED_SAMPLE: Duration = Duration::from_millis(10);
+
+    pub(super) fn new(balance: Balance, samples: u64) -> Self {
+        Self { balance, samples, tiles: 0, sum: Duration::ZERO, slowest: Duration::ZERO }
+    }
+
+    /// A worker took `took` for `tiles` tiles, at least one.
+    pub(super) fn note(&mut self, tiles: u32, took: Duration) {
+        self.tiles += tiles;
+        self.sum += took;
+        self.slowest = self.slowest.max(took / tiles);
+    }
+
+    /// How long a worker with `queued` tiles may be silent before others are asked for them as well.
+    pub(super) fn late_after(&self, queued: u32) -> Duration {
+        match self.balance {
+            Balance::PaperDynamic | Balance::Dynamic => {
+                let mean = self.sum / self.tiles.max(1);
+                mean.saturating_mul(Self::LATE_MEANS).max(Self::LATE_LEAST)
+            }
+            Balance::PaperStatic | Balance::Static => {
+                let slowest = self.slowest.saturating_mul(Self::DEAL_LATE_SLOWEST);
+                slowest.saturating_mul(self.tiles_a_word(queued)).max(Self::DEAL_LATE_LEAST)
+            }
+        }
+    }
+
+    /// How long it may be silent before it is given up.
+    pub(super) fn stalled_after(&self, queued: u32) -> Duration {
+        let samples = u32::try_from(self.samples).unwrap_or(u32::MAX);
+        let unknown = Self::STALLED_SAMPLE.saturating_mul(samples);
+        let known = self.slowest.saturating_mul(Self::STALLED_SLOWEST);
+        let tile = unknown.max(known);
+        tile.saturating_mul(self.tiles_a_word(queued)).saturating_add(Self::STALLED_LEAST)
+    }
+
+    /// Tiles that a worker with `queued` of them renders before its next word.
+    fn tiles_a_word(&self, queued: u32) -> u32 {
+        match self.balance.returns() {
+            ReturnMode::AtEnd => queued.max(1),
+            ReturnMode::Batches { .. } => 1,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: Duration = Duration::from_secs(1);
+
+    #[test]
+    fn what_tiles_have_cost_decides_who_is_late() {
+        let mut pull = Pace::new(Balance::Dynamic, 1);
+        assert_eq!(pull.late_after(3), Pace::LATE_LEAST, "nothing is known yet");
+        pull.note(2, 4 * SECOND);
+        pull.note(1, 11 * SECOND);
+        assert_eq!(pull.late_after(3), 2 * 5 * SECOND);
+
+        let mut deal = Pace::new(Balance::Static, 1);
+        assert_eq!(deal.late_after(3), Pace::DEAL_LATE_LEAST);
+        deal.note(2, 6 * SECOND);
+        assert_eq!(deal.late_after(3), 4 * 3 * SECOND, "a word a tile");
+        let mut paper = Pace::new(Balance::PaperStatic, 1);
+        paper.note(2, 6 * SECOND);
+        assert_eq!(paper.late_after(5), 5 * 4 * 3 * SECOND, "a word a list");
+    }
+
+    #[test]
+    fn a_hard_frame_has_time() {
+        // 128 x 128 pixels: 164 s, and a minute.
+        let mut pace = Pace::new(Balance::Dynamic, 128 * 128);
+        assert_eq!(pace.stalled_after(1), Duration::from_millis(163_840) + Pace::STALLED_LEAST);
+        pace.note(1, 100 * SECOND);
+        assert_eq!(pace.stalled_after(1), 1000 * SECOND + Pace::STALLED_LEAST);
+        // The largest frame there is does not overflow.
+        let most = Pace::new(Balance::PaperStatic, 1 << 44).stalled_after(1 << 16);
+        assert!(most > 1_000_000 * SECOND && std::time::Instant::now().checked_add(most).is_some());
+    }
+}
