@@ -78,3 +78,63 @@ fn rays_refuses_what_cannot_be_measured() {
     check(2, &["a.tpack"], &["a.tpack", "name the scene that it was packed from"]);
     check(1, &["missing.ply"], &["missing.ply"]);
 }
+
+#[test]
+fn build_measures_every_tree_in_a_process_of_its_own() {
+    let build = |more: &[&str]| {
+        let out = Tessera::new(["bench", "build", "gen:sphere:2000"]).args(more).run().ok();
+        out.lines().map(|l| serde_json::from_str(l).expect("JSON")).collect::<Vec<serde_json::Value>>()
+    };
+    let lines = build(&["--threads", "1,2", "--json"]);
+    let tree_bytes = |tree: &str| {
+        let all: Vec<_> = lines.iter().filter(|l| l["tree"] == tree).collect();
+        let [one, two] = all[..] else { panic!("{tree}: {} lines", all.len()) };
+        assert_eq!((&one["threads"], &two["threads"]), (&1.into(), &2.into()));
+        assert!(one["cpu_s"].as_f64().unwrap() > 0.0 && one["wall_s"].as_f64().unwrap() > 0.0);
+        if cfg!(target_os = "linux") && !one["peak_bytes"].is_null() {
+            assert!(one["peak_bytes"].as_u64() >= one["tree_bytes"].as_u64(), "{one}");
+        }
+        if tree != "obvhs" {
+            assert_eq!(one["hash"], two["hash"], "{tree} depends on the number of threads");
+            assert_eq!(one["nodes"], two["nodes"]);
+        }
+        one["tree_bytes_per_triangle"].as_f64().unwrap()
+    };
+    assert!(tree_bytes("kd0") > tree_bytes("kd1") && tree_bytes("kd1") > tree_bytes("kd2"));
+    assert!(tree_bytes("obvhs") > 0.0);
+    let again = build(&["--threads", "1", "--trees", "kd2", "--json"]);
+    assert_eq!(again.len(), 1);
+    let kd2 = lines.iter().find(|l| l["tree"] == "kd2").unwrap();
+    assert_eq!((&again[0]["hash"], &again[0]["tree_bytes"]), (&kd2["hash"], &kd2["tree_bytes"]));
+
+    let table = Tessera::new(["bench", "build", "gen:sphere:2000", "--threads", "1", "--plain"]).run().ok();
+    for word in ["sphere-1848", "plain", "kd0", "kd1", "kd2", "obvhs", "peak B/tri"] {
+        assert!(table.contains(word), "no {word}: {table}");
+    }
+    // What the process of one tree says when it is given no pack.
+    Tessera::new(["bench", "build-one", "kd2", "1"]).run().fails(1, &["pack"]);
+}
+
+#[test]
+fn pack_times_every_stage_and_makes_the_pack_of_a_render() {
+    let folder = Folder::new();
+    folder.write("a.ply", PLY);
+    let tessera = |args: &[&str]| Tessera::new(args).within(folder.path()).run();
+    let bench = tessera(&["bench", "pack", "a.ply", "--json", "--threads", "2"]).json();
+    let packed = tessera(&["scene", "pack", "a.ply", "--out", "a.tpack", "--json"]).json();
+    assert_eq!((&bench["pack_id"], &bench["bytes"]), (&packed["pack_id"], &packed["bytes"]));
+    let stages: Vec<_> =
+        bench["stages"].as_array().unwrap().iter().map(|s| s["stage"].as_str().unwrap()).collect();
+    assert_eq!(stages, ["read", "flatten", "quantise", "build tree", "assemble"]);
+    let sections: u64 =
+        bench["sections"].as_array().unwrap().iter().map(|s| s["bytes"].as_u64().unwrap()).sum();
+    // The rest is header and alignment.
+    let bytes = bench["bytes"].as_u64().unwrap();
+    assert!(sections > 0 && sections < bytes && bytes - sections < 4096, "{sections} of {bytes}");
+
+    let table = tessera(&["bench", "pack", "gen:pipes:2000", "--refs", "0"]).ok();
+    for word in ["pipes-2172, 2172 triangles", "build tree", "kdslot", "pack id"] {
+        assert!(table.contains(word), "no {word}: {table}");
+    }
+    tessera(&["bench", "pack", "a.tpack"]).fails(2, &["a.tpack", "name the scene"]);
+}

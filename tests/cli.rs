@@ -5,7 +5,7 @@ use std::fs;
 
 #[test]
 fn help_is_a_manual() {
-    let commands: [&[&str]; 7] = [
+    let commands: [&[&str]; 9] = [
         &[],
         &["demo"],
         &["render"],
@@ -13,6 +13,8 @@ fn help_is_a_manual() {
         &["scene", "pack"],
         &["compare"],
         &["bench", "rays"],
+        &["bench", "build"],
+        &["bench", "pack"],
     ];
     for command in commands {
         let help = Tessera::new(command).args(["--help"]).run().ok();

@@ -9,7 +9,7 @@ use tessera_geometry::{CameraPose, DVec3};
 use tessera_kdtree::BuildOptions;
 use tessera_pack::{
     Ambient, Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, MaterialFlags, NO_TEXTURE,
-    Pack, PackBuffer, PackError, PackInput, PackOptions, PackStats, Plain, Wrap, build_pack,
+    Pack, PackBuffer, PackError, PackInput, PackOptions, PackStage, PackStats, Plain, Wrap, build_pack_with,
     format::{HEADER_LEN, check_header},
 };
 use tessera_scene::{
@@ -167,9 +167,19 @@ fn read_pack(path: &Path) -> Result<Pack, String> {
 
 /// Packs a scene that took `read` to load.
 pub fn prepare_scene(
+    scene: Scene,
+    options: &PrepareOptions,
+    read: Duration,
+) -> Result<Prepared, PrepareError> {
+    prepare_scene_with(scene, options, read, |_| {})
+}
+
+/// The same as [`prepare_scene`]; says when each stage of packing begins to `on_stage`.
+pub fn prepare_scene_with(
     mut scene: Scene,
     options: &PrepareOptions,
     read: Duration,
+    on_stage: impl FnMut(PackStage),
 ) -> Result<Prepared, PrepareError> {
     let start = Instant::now();
     let flat = scene.flatten()?;
@@ -188,7 +198,7 @@ pub fn prepare_scene(
     let input = pack_input(&scene, flat, &selection, &options.without);
     let Scene { name, cameras, mut warnings, notes, .. } = scene;
     let pack_options = PackOptions { plain: options.plain, tree: options.tree, ..PackOptions::default() };
-    let (pack, stats) = build_pack(input, &pack_options)
+    let (pack, stats) = build_pack_with(input, &pack_options, on_stage)
         .map_err(|source| PrepareError::Pack { name: name.clone(), source })?;
     source.dropped.extend_from_slice(&stats.dropped);
     if stats.triangles == 0 {

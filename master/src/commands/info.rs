@@ -3,7 +3,7 @@
 use super::progress::Progress;
 use super::{CommandError, SceneArgs, info_text, run};
 use clap::Args;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::time::Instant;
 use tessera_kdtree::{BuildOptions, Tree, Triangles, build::TreeStats};
@@ -100,7 +100,7 @@ pub struct Grid {
     pub precision: f64,
 }
 
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Nodes {
     pub inner0: u64,
     pub inner1: u64,

@@ -15,6 +15,7 @@ mod run;
 mod worker;
 
 pub use error::{CommandError, one_line};
+use run::cores;
 
 use clap::{Args, Parser, Subcommand};
 use std::ffi::OsString;

@@ -176,6 +176,7 @@ fn worker_here(threads: u32) -> Link {
     link
 }
 
-fn cores() -> u32 {
+/// Threads that run at the same time here.
+pub fn cores() -> u32 {
     std::thread::available_parallelism().map_or(1, |n| u32::try_from(n.get()).unwrap_or(u32::MAX))
 }

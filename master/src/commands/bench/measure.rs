@@ -172,10 +172,11 @@ fn in_chunks<T: Send>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::commands::bench::clock::Cost;
     use crate::commands::bench::generate::{Kind, generate};
     use crate::commands::bench::mesh::Mesh;
     use crate::commands::bench::obvhs::Obvhs;
-    use crate::commands::bench::peer::{Cost, Kernel, Ours};
+    use crate::commands::bench::peer::{Kernel, Ours};
     use crate::commands::bench::ray_set::{Views, ray_sets};
     use tessera_geometry::Vec3;
 

@@ -65,12 +65,7 @@ impl Mesh {
             }
             MeshSource::File(path) => {
                 let path = Path::new(path);
-                if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tpack")) {
-                    return Err(CommandError::Usage(format!(
-                        "{}: a bundle holds no exact mesh to measure; name the scene that it was packed from",
-                        path.display()
-                    )));
-                }
+                super::refuse_bundle(path)?;
                 let scene = tessera_scene::load(path, options).map_err(CommandError::failed)?;
                 let flat = scene.flatten().map_err(CommandError::failed)?;
                 let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();

@@ -1,19 +1,24 @@
 //! `tessera bench`: measurements that anyone can repeat, on meshes without attributes.
 
+mod build;
 mod clock;
 mod generate;
 mod hash;
 mod measure;
+mod memory;
 mod mesh;
 mod obvhs;
+mod pack;
 mod peer;
 mod ray_set;
 mod rays;
 
-use super::CommandError;
 use super::progress::Progress;
+use super::{CommandError, print_text};
 use clap::Subcommand;
 use mesh::{Mesh, MeshSource};
+use serde::Serialize;
+use std::path::Path;
 use tessera_scene::LoadOptions;
 
 /// What to measure.
@@ -21,11 +26,21 @@ use tessera_scene::LoadOptions;
 pub enum BenchCommand {
     /// Rays per CPU second, beside obvhs in the same run
     Rays(rays::RaysArgs),
+    /// Time and memory of building trees, beside obvhs
+    Build(build::BuildArgs),
+    /// Time of packing, stage by stage, and bytes of every section
+    Pack(pack::PackArgs),
+    /// Build one tree; started by `bench build` itself
+    #[command(hide = true)]
+    BuildOne(build::BuildOneArgs),
 }
 
 pub fn run(command: BenchCommand, progress: &Progress) -> Result<(), CommandError> {
     match command {
         BenchCommand::Rays(args) => rays::run(args, progress),
+        BenchCommand::Build(args) => build::run(args, progress),
+        BenchCommand::Pack(args) => pack::run(args, progress),
+        BenchCommand::BuildOne(args) => build::run_one(&args),
     }
 }
 
@@ -33,4 +48,21 @@ fn load(source: &MeshSource, progress: &Progress) -> Result<Mesh, CommandError> 
     let _bar = progress.step("reading the mesh");
     let options = LoadOptions { scenes_folder: std::env::var_os("TESSERA_SCENES").map(Into::into) };
     Mesh::load(source, &options)
+}
+
+/// A bundle holds what was packed, and the benches want to pack.
+fn refuse_bundle(path: &Path) -> Result<(), CommandError> {
+    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tpack")) {
+        return Err(CommandError::Usage(format!(
+            "{}: a bundle holds no exact mesh to measure; name the scene that it was packed from",
+            path.display()
+        )));
+    }
+    Ok(())
+}
+
+/// Prints one JSON object a line to stdout.
+fn print_lines<T: Serialize>(lines: &[T]) -> Result<(), CommandError> {
+    let lines: Result<Vec<_>, _> = lines.iter().map(serde_json::to_string).collect();
+    print_text(&format!("{}\n", lines.map_err(CommandError::failed)?.join("\n")))
 }

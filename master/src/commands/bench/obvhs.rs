@@ -1,8 +1,9 @@
 //! The yardstick: obvhs' compressed wide BVH (Ylitie, Karras, Laine 2017) over the mesh itself, triangles in leaf order as its
 //! documentation asks.
 
+use super::clock::Cost;
 use super::mesh::Mesh;
-use super::peer::{Cost, Peer};
+use super::peer::Peer;
 use super::ray_set::{WorldHit, WorldRay};
 use crate::commands::CommandError;
 use obvhs::BvhBuildParams;
@@ -10,6 +11,7 @@ use obvhs::cwbvh::{CwBvh, builder::build_cwbvh_from_tris};
 use obvhs::ray::{Ray, RayHit};
 use obvhs::rt_triangle::RtTriangle;
 use obvhs::triangle::Triangle;
+use tessera_geometry::Vec3;
 
 /// The tree, the triangles in its order, and what it took.
 pub struct Obvhs {
@@ -20,8 +22,8 @@ pub struct Obvhs {
 
 impl Obvhs {
     pub fn build(mesh: &Mesh) -> Result<Self, CommandError> {
-        let list = triangles(mesh);
-        let (bvh, build) = Cost::of(|| build_cwbvh(&list))?;
+        let list = triangles(mesh.triangles.len() as u32, |id| mesh.corners(id));
+        let (bvh, build) = Cost::of(1, || build_cwbvh(&list))?;
         let in_order = |&i: &u32| {
             let t = &list[i as usize];
             RtTriangle::new(t.v0, t.v1, t.v2)
@@ -31,10 +33,10 @@ impl Obvhs {
     }
 }
 
-/// The mesh as obvhs takes it.
-pub fn triangles(mesh: &Mesh) -> Vec<Triangle> {
-    let corners = (0..mesh.triangles.len() as u32).map(|id| mesh.corners(id));
-    corners.map(|[a, b, c]| Triangle { v0: a.into(), v1: b.into(), v2: c.into() }).collect()
+/// `count` triangles, whose corners `corners` returns, as obvhs takes them.
+pub fn triangles(count: u32, corners: impl Fn(u32) -> [Vec3; 3]) -> Vec<Triangle> {
+    let triangle = |[a, b, c]: [Vec3; 3]| Triangle { v0: a.into(), v1: b.into(), v2: c.into() };
+    (0..count).map(|id| triangle(corners(id))).collect()
 }
 
 /// With the middle one of its presets.

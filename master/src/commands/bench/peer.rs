@@ -1,10 +1,9 @@
 //! Who is measured: our kernels over packs of the mesh, and obvhs over the mesh itself.
 
-use super::clock::process_seconds;
+use super::clock::{Cost, Watch};
 use super::mesh::Mesh;
 use super::ray_set::{WorldHit, WorldRay};
 use crate::commands::CommandError;
-use std::time::Instant;
 use tessera_geometry::{LocalFrame, Ray};
 use tessera_kdtree::BuildOptions;
 use tessera_pack::{Pack, PackOptions, PackStage, Plain, build_pack_with, format::Section};
@@ -24,40 +23,6 @@ pub trait Peer: Sync {
     fn closest(&self, rays: &[WorldRay], hits: &mut [WorldHit]);
     /// 1 for each ray that hits anything, else 0.
     fn occluded(&self, rays: &[WorldRay], blocked: &mut [u8]);
-}
-
-/// What one thread took.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Cost {
-    pub wall_s: f64,
-    pub cpu_s: f64,
-}
-
-impl Cost {
-    /// Of `work`, in a pool of one thread.
-    pub fn of<T: Send>(work: impl FnOnce() -> T + Send) -> Result<(T, Self), CommandError> {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().map_err(CommandError::failed)?;
-        let watch = Watch::start();
-        let value = pool.install(work);
-        Ok((value, watch.read()))
-    }
-}
-
-/// Wall and process time since a moment.
-#[derive(Clone, Copy)]
-pub struct Watch {
-    wall: Instant,
-    cpu: f64,
-}
-
-impl Watch {
-    pub fn start() -> Self {
-        Self { wall: Instant::now(), cpu: process_seconds() }
-    }
-
-    pub fn read(&self) -> Cost {
-        Cost { wall_s: self.wall.elapsed().as_secs_f64(), cpu_s: process_seconds() - self.cpu }
-    }
 }
 
 /// How the rays of a chunk go through our tree.
@@ -109,7 +74,7 @@ impl Ours {
             PackStage::Assemble => build = watch.read(),
             _ => {}
         };
-        let (packed, _) = Cost::of(|| build_pack_with(input, &options, on_stage))?;
+        let (packed, _) = Cost::of(1, || build_pack_with(input, &options, on_stage))?;
         let (pack, _) = packed.map_err(|e| CommandError::Failed(format!("{}: {e}", mesh.name)))?;
         let frame = pack.frame();
         let peer = |&kernel| Self { pack: pack.clone(), frame, max_refs, is_plain, kernel, build };

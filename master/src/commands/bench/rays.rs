@@ -92,10 +92,7 @@ pub fn run(args: RaysArgs, progress: &Progress) -> Result<(), CommandError> {
         }
     }
     if args.json {
-        for line in &lines {
-            print_text(&format!("{}\n", serde_json::to_string(line).map_err(CommandError::failed)?))?;
-        }
-        return Ok(());
+        return super::print_lines(&lines);
     }
     print_text(&text(&mesh, &peers, &views, &lines))
 }
