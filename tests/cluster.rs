@@ -1,6 +1,7 @@
 //! Master and workers in this process, over memory and over QUIC: one image for every balancing and any
 //! number of workers.
 
+use crate::support::Folder;
 use std::future::poll_fn;
 use std::sync::{Arc, Mutex};
 use std::task::Poll;
@@ -11,7 +12,7 @@ use tessera_master::{
 };
 use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
 use tessera_wire::{Features, FrameError, LocalTicket, PackRefusal};
-use tessera_worker::{NUMERIC_CLASS, WorkerConfig, WorkerError, WorkerPipes};
+use tessera_worker::{NUMERIC_CLASS, PackCache, WorkerConfig, WorkerError, WorkerPipes};
 use tokio::task::JoinHandle;
 
 type Served = JoinHandle<Result<(), WorkerError>>;
@@ -59,7 +60,7 @@ fn job(pack: &Pack, balance: Balance) -> FrameJob {
 }
 
 fn config(name: &str, memory: Option<u64>) -> WorkerConfig {
-    WorkerConfig { name: name.into(), threads: 1, memory }
+    WorkerConfig { name: name.into(), threads: 1, memory, cache: None }
 }
 
 /// A worker over memory.
@@ -304,6 +305,38 @@ async fn packs_follow_each_other_also_past_a_worker_without_room() {
     for handle in served {
         handle.await.expect("no panic").expect("dismissed");
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_worker_that_comes_back_with_its_cache_is_sent_no_pack() {
+    let pack = strip(3000);
+    let folder = Folder::new();
+    let file = folder.file(&format!("{}.tpack", pack.id()));
+    let mut images = Vec::new();
+    let damage: [fn(&mut Vec<u8>); 4] =
+        [|_| (), |_| (), |bytes| bytes[5000] ^= 1, |bytes| bytes.truncate(5000)];
+    for (round, damage) in damage.into_iter().enumerate() {
+        if round > 0 {
+            let mut bytes = std::fs::read(&file).expect("kept when the worker ended");
+            assert_eq!(bytes, pack.bytes());
+            damage(&mut bytes);
+            std::fs::write(&file, bytes).expect("a temporary file");
+        }
+        let cache = PackCache::open(folder.path(), 1 << 20).expect("a folder");
+        let (link, served) = worker(WorkerConfig { cache: Some(cache), ..config("w", None) });
+        let mut cluster =
+            Cluster::start(Workers::Links(vec![link]), ClusterConfig::default()).await.expect("it joins");
+        cluster.load(&pack, |_| ()).await.expect("it takes the pack");
+        let result = render(&mut cluster, &job(&pack, Balance::Dynamic)).await;
+        let is_sent = result.traffic.sent > pack.bytes().len() as u64;
+        assert_eq!(is_sent, round != 1, "round {round}: {} bytes were sent", result.traffic.sent);
+        assert!(is_sent || result.traffic.sent < 2000, "messages alone: {}", result.traffic.sent);
+        images.push(result.image);
+        cluster.stop().await;
+        served.await.expect("no panic").expect("dismissed");
+    }
+    assert_eq!(folder.names().len(), 1);
+    assert!(images.windows(2).all(|pair| pair[0] == pair[1]));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -4,6 +4,7 @@
 //! master's, for one). A worker never parses a user's scene file: it receives a pack, and checks it.
 
 mod backend;
+mod cache;
 mod local;
 mod net;
 mod pipes;
@@ -12,6 +13,7 @@ mod render;
 mod serve;
 pub mod session;
 
+pub use cache::PackCache;
 pub use local::{run_local, serve_ticket};
 pub use serve::{WorkerConfig, WorkerError, WorkerPipes, serve};
 pub use tessera_whitted::NUMERIC_CLASS;

@@ -37,7 +37,7 @@ pub async fn serve_ticket(ticket: LocalTicket, stop: impl Future<Output = ()>) -
     tracing::info!("{} is connected to {}", ticket.name, ticket.address);
     // Each of them holds a pack of its own, and none has one yet.
     let memory = free_memory().map(|bytes| bytes / u64::from(ticket.sharers.max(1)));
-    let config = WorkerConfig { name: ticket.name, threads: ticket.threads, memory };
+    let config = WorkerConfig { name: ticket.name, threads: ticket.threads, memory, cache: None };
     let served = serve_until(connection.pipes, config, stop).await;
     connection.closer.close(served.is_ok()).await;
     served

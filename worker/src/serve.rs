@@ -1,14 +1,17 @@
 //! A worker's life on four pipes: join, hold a pack, render what is assigned, go.
 
 use crate::{
-    NUMERIC_CLASS,
+    NUMERIC_CLASS, PackCache,
     backend::cpu,
     pipes::{PipeError, Reader, Writer, read_message, write_message},
     receive::{Assembly, receive},
     render::{RenderEvent, RenderThread},
     session::{Action, Batch, Ending, RenderedTile, Session},
 };
-use std::future::{Future, pending};
+use std::{
+    future::{Future, pending},
+    time::Duration,
+};
 use tessera_pack::Pack;
 use tessera_wire::{AbortCode, Hello, PackId, PackRefusal, Refusal, ToMaster, ToWorker, Version, plain_text};
 use tokio::{
@@ -39,6 +42,8 @@ pub struct WorkerConfig {
     pub threads: u32,
     /// Bytes that a pack may take; `None`: what the system has free, as far as it says.
     pub memory: Option<u64>,
+    /// Where packs are kept for the next time.
+    pub cache: Option<PackCache>,
 }
 
 /// Why a worker ended before it was dismissed.
@@ -95,7 +100,7 @@ pub(crate) async fn serve_until(
         backend: cpu::NAME.into(),
         numeric_class: NUMERIC_CLASS.into(),
     };
-    let mut driver = Driver::start(pipes, config.threads.max(1))?;
+    let mut driver = Driver::start(pipes, config.threads.max(1), config.cache)?;
     let mut session = Session::start(hello, memory, begun.elapsed());
     tokio::pin!(stop);
     let mut stopping = false;
@@ -134,6 +139,9 @@ struct Driver {
     wanted_packs: mpsc::UnboundedSender<(PackId, u64)>,
     renderer: RenderThread,
     pack: Option<Pack>,
+    cache: Option<PackCache>,
+    /// Packs on their way to the cache.
+    keeping: JoinSet<()>,
     /// Ends the reading and bulk tasks with the driver.
     _tasks: JoinSet<()>,
 }
@@ -144,6 +152,7 @@ enum Event {
     RenderingStopped,
     RendererPanicked,
     BatchSent,
+    PackFound(Pack),
     PackReserved(PackId, Result<(), PackRefusal>),
     PackReceived(PackId, Result<Pack, PackRefusal>),
     Broken(PipeError),
@@ -154,7 +163,7 @@ impl Driver {
     /// Events that wait for the driver; a task that finds the queue full waits itself.
     const EVENTS: usize = 64;
 
-    fn start(pipes: WorkerPipes, threads: u32) -> Result<Self, WorkerError> {
+    fn start(pipes: WorkerPipes, threads: u32, cache: Option<PackCache>) -> Result<Self, WorkerError> {
         let (tell, events) = mpsc::channel(Self::EVENTS);
         let (control, messages) = mpsc::unbounded_channel();
         let (bulk, batches) = mpsc::unbounded_channel();
@@ -162,7 +171,7 @@ impl Driver {
         let mut tasks = JoinSet::new();
         tasks.spawn(read_control(pipes.control_in, tell.clone()));
         tasks.spawn(write_bulk(pipes.bulk_out, batches, tell.clone()));
-        tasks.spawn(read_packs(pipes.bulk_in, wanted, tell.clone()));
+        tasks.spawn(read_packs(pipes.bulk_in, wanted, cache.clone(), tell.clone()));
         let control_writer = tokio::spawn(write_control(pipes.control_out, messages));
         let renderer = RenderThread::start(threads, move |event| {
             // The driver may be gone; the thread then ends with it.
@@ -173,8 +182,18 @@ impl Driver {
             });
         })
         .map_err(|e| WorkerError::Threads(e.to_string()))?;
-        let pack = None;
-        Ok(Self { events, control, control_writer, bulk, wanted_packs, renderer, pack, _tasks: tasks })
+        Ok(Self {
+            events,
+            control,
+            control_writer,
+            bulk,
+            wanted_packs,
+            renderer,
+            pack: None,
+            cache,
+            keeping: JoinSet::new(),
+            _tasks: tasks,
+        })
     }
 
     /// Does what the session wants; the ending, if that is it. A task that has ended has told so in an event:
@@ -209,8 +228,17 @@ impl Driver {
             Event::RendererPanicked => session.abort(AbortCode::Internal, "the renderer has panicked".into()),
             Event::BatchSent => session.batch_sent(),
             Event::PackReserved(pack, result) => session.pack_reserved(pack, result),
+            Event::PackFound(pack) => {
+                let id = PackId(pack.id().0);
+                tracing::info!("pack {id} is in the cache");
+                self.pack = Some(pack);
+                session.pack_found(id);
+            }
             Event::PackReceived(id, result) => {
-                let result = result.map(|pack| self.pack = Some(pack));
+                let result = result.map(|pack| {
+                    self.keep(pack.clone());
+                    self.pack = Some(pack);
+                });
                 session.pack_received(id, result);
             }
             Event::Broken(PipeError::Codec(e)) => session.abort(AbortCode::Malformed, e.to_string()),
@@ -220,12 +248,25 @@ impl Driver {
         Ok(())
     }
 
-    /// Sees the last messages off.
-    async fn close(self) {
+    /// Puts a pack into the cache while work goes on.
+    fn keep(&mut self, pack: Pack) {
+        let Some(cache) = self.cache.clone() else { return };
+        self.keeping.spawn_blocking(move || match cache.store(&pack) {
+            Ok(true) => tracing::info!("pack {} is kept in the cache", PackId(pack.id().0)),
+            Ok(false) => {}
+            Err(e) => tracing::warn!("the cache cannot keep a pack: {e}"),
+        });
+    }
+
+    /// Sees the last messages, and packs, off.
+    async fn close(mut self) {
         /// A peer that does not read is not waited for.
-        const FAREWELL: std::time::Duration = std::time::Duration::from_secs(1);
+        const FAREWELL: Duration = Duration::from_secs(1);
+        /// Gigabytes on a disk.
+        const KEEPING: Duration = Duration::from_secs(5);
         drop(self.control);
         let _ = timeout(FAREWELL, self.control_writer).await;
+        let _ = timeout(KEEPING, async { while self.keeping.join_next().await.is_some() {} }).await;
     }
 }
 
@@ -281,9 +322,19 @@ async fn write_batch(pipe: &mut Writer, batch: Batch) -> Result<(), PipeError> {
 async fn read_packs(
     mut pipe: Reader,
     mut wanted: mpsc::UnboundedReceiver<(PackId, u64)>,
+    cache: Option<PackCache>,
     tell: mpsc::Sender<Event>,
 ) {
     while let Some((pack, length)) = wanted.recv().await {
+        if let Some(cache) = cache.clone() {
+            let found = tokio::task::spawn_blocking(move || cache.load(pack)).await;
+            if let Ok(Some(found)) = found {
+                if tell.send(Event::PackFound(found)).await.is_err() {
+                    return;
+                }
+                continue;
+            }
+        }
         // Gigabytes are zeroed here.
         let assembly = tokio::task::spawn_blocking(move || Assembly::new(pack, length)).await;
         let assembly = assembly.unwrap_or_else(|e| {

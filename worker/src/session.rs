@@ -53,8 +53,8 @@ struct Active {
 pub enum Action {
     /// Send a message.
     Send(ToMaster),
-    /// Forget any pack, find room for `length` bytes and call [`Session::pack_reserved`]; if that went well,
-    /// take them from the bulk pipe and call [`Session::pack_received`].
+    /// Forget any pack. If this one is at hand, call [`Session::pack_found`]; else find room for `length` bytes and call
+    /// [`Session::pack_reserved`], and if that went well, take them from the bulk pipe and call [`Session::pack_received`].
     Receive {
         /// Which pack.
         pack: PackId,
@@ -196,6 +196,15 @@ impl Session {
                 debug_assert_ne!(phase, Phase::Over);
                 self.abort(AbortCode::Unexpected, what.into());
             }
+        }
+    }
+
+    /// The pack that [`Action::Receive`] announced is at hand, checked.
+    pub fn pack_found(&mut self, pack: PackId) {
+        if self.phase == Phase::Joined && self.holding == Holding::Reserving(pack) {
+            self.holding = Holding::Held(pack);
+            self.send(ToMaster::PackNeed { pack, have: true });
+            self.send(ToMaster::PackReady { pack });
         }
     }
 
@@ -569,6 +578,12 @@ mod tests {
         let reason = PackRefusal::OutOfMemory { needs: 5, has: 0 };
         s.pack_reserved(PACK, Err(reason.clone()));
         assert_eq!(actions(&mut s), [Action::Send(ToMaster::PackRejected { pack: PACK, reason })]);
+        let mut s = joined(None);
+        s.message(ToWorker::PackOffer { pack: PACK, length: 5 });
+        actions(&mut s);
+        s.pack_found(PACK);
+        let have = Action::Send(ToMaster::PackNeed { pack: PACK, have: true });
+        assert_eq!(actions(&mut s), [have, Action::Send(ToMaster::PackReady { pack: PACK })]);
         let mut s = joined(None);
         s.message(ToWorker::PackOffer { pack: PACK, length: u64::MAX });
         assert!(matches!(actions(&mut s)[..], [Action::Send(ToMaster::PackRejected { .. })]));

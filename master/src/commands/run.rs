@@ -167,7 +167,7 @@ fn worker_here(threads: u32) -> Link {
     let (link, pipes) = Link::in_memory();
     let Pipes { control_in, control_out, bulk_in, bulk_out } = pipes;
     let pipes = WorkerPipes { control_in, control_out, bulk_in, bulk_out };
-    let config = WorkerConfig { name: "this process".into(), threads, memory: None };
+    let config = WorkerConfig { name: "this process".into(), threads, memory: None, cache: None };
     tokio::spawn(async move {
         if let Err(error) = tessera_worker::serve(pipes, config).await {
             tracing::debug!("the worker in this process ended: {error}");

@@ -26,4 +26,4 @@ pub use records::{
     SideUv, Texture, Wrap,
 };
 pub use rules::MAX_TEXTURE_SIDE;
-pub use view::{MeshView, Pack, PackId};
+pub use view::{MeshView, Pack, PackId, SharedBytes};

@@ -31,13 +31,36 @@ pub struct Pack {
     inner: Arc<Inner>,
 }
 
+/// Bytes that somebody else looks after.
+pub type SharedBytes = Arc<dyn AsRef<[u8]> + Send + Sync>;
+
+enum Bytes {
+    Owned(PackBuffer),
+    Shared(SharedBytes),
+}
+
+impl Bytes {
+    fn as_slice(&self) -> &[u8] {
+        match self {
+            Self::Owned(buffer) => buffer.as_slice(),
+            Self::Shared(bytes) => (**bytes).as_ref(),
+        }
+    }
+}
+
+impl fmt::Debug for Bytes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Bytes").field("len", &self.as_slice().len()).finish()
+    }
+}
+
 /// Every thread of a worker reads the same pack.
 const fn shared_between_threads<T: Send + Sync + Clone>() {}
 const _: () = shared_between_threads::<Pack>();
 
 #[derive(Debug)]
 struct Inner {
-    buffer: PackBuffer,
+    bytes: Bytes,
     layout: Layout,
     head: Head,
     id: PackId,
@@ -52,15 +75,29 @@ impl Pack {
     /// Checks `buffer` (header, hash, every index, the tree) and takes it. After that no content can make a reader of the pack
     /// panic or reach beyond an array.
     pub fn from_buffer(buffer: PackBuffer) -> Result<Self, PackError> {
-        let layout = Layout::read(buffer.as_slice())?;
-        let head = validate(buffer.as_slice(), &layout)?;
-        let id = PackId(crate::format::stored_id(buffer.as_slice()));
-        Ok(Self { inner: Arc::new(Inner { buffer, layout, head, id }) })
+        Self::check(Bytes::Owned(buffer))
+    }
+
+    /// Checks `bytes` like [`Pack::from_buffer`] and keeps them where they are, for example in a mapped file; copies them if they are not
+    /// aligned to [`crate::buffer::ALIGNMENT`]. They must be the same at every look.
+    pub fn from_shared(bytes: SharedBytes) -> Result<Self, PackError> {
+        if (*bytes).as_ref().as_ptr().addr().is_multiple_of(crate::buffer::ALIGNMENT) {
+            Self::check(Bytes::Shared(bytes))
+        } else {
+            Self::from_bytes((*bytes).as_ref())
+        }
+    }
+
+    fn check(bytes: Bytes) -> Result<Self, PackError> {
+        let layout = Layout::read(bytes.as_slice())?;
+        let head = validate(bytes.as_slice(), &layout)?;
+        let id = PackId(crate::format::stored_id(bytes.as_slice()));
+        Ok(Self { inner: Arc::new(Inner { bytes, layout, head, id }) })
     }
 
     /// The whole file.
     pub fn bytes(&self) -> &[u8] {
-        self.inner.buffer.as_slice()
+        self.inner.bytes.as_slice()
     }
 
     /// Content hash.

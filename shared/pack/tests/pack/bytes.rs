@@ -261,3 +261,28 @@ fn other_versions_and_other_files_are_told_apart() {
     let id = pack.id().to_string();
     assert!(id.len() == 64 && id.starts_with(&format!("{:02x}", pack.bytes()[32])));
 }
+
+#[test]
+fn shared_bytes_are_read_in_place_or_copied_and_checked_either_way() {
+    struct Shifted(Vec<u64>, usize);
+    impl AsRef<[u8]> for Shifted {
+        fn as_ref(&self) -> &[u8] {
+            &bytemuck::cast_slice(&self.0)[self.1..]
+        }
+    }
+    let pack = &packs()[0];
+    let shared = |shift: usize, change: fn(&mut [u8])| {
+        let mut words = vec![0; (pack.bytes().len() + shift).div_ceil(8)];
+        let bytes = &mut bytemuck::cast_slice_mut(&mut words)[shift..];
+        bytes[..pack.bytes().len()].copy_from_slice(pack.bytes());
+        change(bytes);
+        Pack::from_shared(std::sync::Arc::new(Shifted(words, shift)))
+    };
+    for shift in (0..64).step_by(8) {
+        let same = shared(shift, |_| ()).expect("the same bytes");
+        assert_eq!(same.bytes(), pack.bytes());
+        assert!(same.bytes().as_ptr().addr().is_multiple_of(64));
+        let damaged = shared(shift, |bytes| bytes[200] ^= 1);
+        assert!(matches!(damaged, Err(PackError::HashMismatch)), "{damaged:?}");
+    }
+}
