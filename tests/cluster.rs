@@ -2,17 +2,15 @@
 //! number of workers.
 
 use crate::support::Folder;
-use std::future::poll_fn;
 use std::sync::{Arc, Mutex};
-use std::task::Poll;
 use tessera_geometry::{LocalCamera, Vec3};
 use tessera_master::{
     Balance, Cluster, ClusterConfig, FrameJob, FrameResult, Link, LoadError, LocalWorkers, PixelFormat,
     RenderError, StartError, Workers,
 };
 use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
-use tessera_wire::{Features, FrameError, LocalTicket, PackRefusal};
-use tessera_worker::{NUMERIC_CLASS, PackCache, WorkerConfig, WorkerError, WorkerPipes};
+use tessera_wire::{Features, FrameError, LocalTicket, PackRefusal, Refusal};
+use tessera_worker::{JoinError, NUMERIC_CLASS, PackCache, WorkerConfig, WorkerError, WorkerPipes};
 use tokio::task::JoinHandle;
 
 type Served = JoinHandle<Result<(), WorkerError>>;
@@ -158,7 +156,7 @@ fn processes(count: u32, args: &[&str]) -> Workers {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn worker_processes_join_render_and_end() {
     let pack = pack();
-    let workers = processes(3, &["worker"]);
+    let workers = processes(3, &["worker", "--ticket"]);
     let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("they join");
     cluster.load(&pack, |_| ()).await.expect("they take the pack");
     let dynamic = render(&mut cluster, &job(&pack, Balance::Dynamic)).await;
@@ -217,7 +215,9 @@ async fn a_lost_worker_is_replaced_and_the_last_one_is_not() {
     let result = cluster.render(&job, |progress| match progress {
         tessera_master::Progress::Tiles { .. } => drop(first.take().map(|handle| handle.abort())),
         tessera_master::Progress::WorkerLost { .. } => reasons += 1,
-        tessera_master::Progress::Sent { .. } | tessera_master::Progress::PackRejected { .. } => {}
+        tessera_master::Progress::Sent { .. }
+        | tessera_master::Progress::WorkerJoined { .. }
+        | tessera_master::Progress::PackRejected { .. } => {}
     });
     let result = result.await.expect("one worker is enough");
     assert_eq!(result.workers.iter().map(|w| w.tiles).sum::<u32>(), 75 * 75);
@@ -341,34 +341,35 @@ async fn a_worker_that_comes_back_with_its_cache_is_sent_no_pack() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_worker_with_a_forged_ticket_is_refused_and_does_not_disturb() {
-    let stranger = Arc::new(Mutex::new(None));
-    let slot = stranger.clone();
-    // The credentials of one cluster, for use at another.
-    let keep =
-        move |tickets: Vec<LocalTicket>| *slot.lock().expect("one thread") = tickets.into_iter().next();
-    let mut foreign = Box::pin(Cluster::start(Workers::Tickets(1, Box::new(keep)), ClusterConfig::default()));
-    // It waits for its worker from then on.
-    let waits = poll_fn(|cx| Poll::Ready(foreign.as_mut().poll(cx).is_pending())).await;
-    assert!(waits);
-    let foreign = stranger.lock().expect("one thread").take().expect("handed out before anyone joins");
-
     let outcome = Arc::new(Mutex::new(None));
     let slot = outcome.clone();
     let runtime = tokio::runtime::Handle::current();
     let hand_out = move |tickets: Vec<LocalTicket>| {
         let ticket = tickets.into_iter().next().expect("one");
-        // The right authority, so that the worker trusts the master, but a stranger's certificate.
-        let forged = LocalTicket { certificate: foreign.certificate, key: foreign.key, ..ticket.clone() };
+        let forged = |change: &dyn Fn(&mut LocalTicket)| {
+            let mut forged = ticket.clone();
+            change(&mut forged);
+            tessera_worker::serve_ticket(forged, std::future::pending())
+        };
+        let guessed = forged(&|ticket| ticket.join.token.0[15] ^= 1);
+        let elsewhere = forged(&|ticket| ticket.join.fingerprint.0[0] ^= 1);
+        let right = forged(&|_| ());
+        let copied = forged(&|_| ());
         *slot.lock().expect("one thread") = Some(runtime.spawn(async move {
-            let refused = tessera_worker::serve_ticket(forged, std::future::pending()).await;
-            let served = tessera_worker::serve_ticket(ticket, std::future::pending());
-            (refused, served.await)
+            let refused = (guessed.await, elsewhere.await);
+            // Whoever comes first with a ticket is the one that it was for.
+            let served = tokio::spawn(right);
+            (refused, served, copied)
         }));
     };
     let cluster = Cluster::start(Workers::Tickets(1, Box::new(hand_out)), ClusterConfig::default());
-    cluster.await.expect("the right one joins").stop().await;
-    let both = outcome.lock().expect("one thread").take().expect("spawned");
-    let (refused, served) = both.await.expect("no panic");
-    assert!(matches!(refused, Err(WorkerError::Connect { .. })), "{refused:?}");
-    served.expect("dismissed");
+    let cluster = cluster.await.expect("the right one joins");
+    let all = outcome.lock().expect("one thread").take().expect("spawned");
+    let ((guessed, elsewhere), served, copied) = all.await.expect("no panic");
+    assert!(matches!(guessed, Err(WorkerError::Refused(Refusal::Token))), "{guessed:?}");
+    assert!(matches!(elsewhere, Err(WorkerError::Join(JoinError::OtherMaster { .. }))), "{elsewhere:?}");
+    let copied = copied.await;
+    assert!(matches!(copied, Err(WorkerError::Refused(Refusal::Token))), "{copied:?}");
+    cluster.stop().await;
+    served.await.expect("no panic").expect("dismissed");
 }

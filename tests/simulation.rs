@@ -8,8 +8,8 @@ use tessera_geometry::{LocalCamera, Vec3};
 use tessera_master::coordinator::{Coordinator, Event, FrameStatus, Outcome, Output};
 use tessera_master::{Balance, FrameJob, PixelFormat};
 use tessera_wire::{
-    AbortCode, Attempt, Features, FrameId, Hello, PackId, Rays, Rect, TileEntry, TileId, ToMaster, ToWorker,
-    Version, WorkerId, limits,
+    Abilities, AbortCode, Attempt, Features, FrameId, Hello, PackId, Rays, Rect, Role, TileEntry, TileId,
+    ToMaster, ToWorker, Token, Version, WorkerId, limits,
 };
 use tessera_worker::session::{Action, Batch, RenderTask, RenderedTile, Session};
 
@@ -328,11 +328,14 @@ impl World {
     fn connect(&mut self) {
         let hello = Hello {
             versions: Version::supported_numbers(),
+            token: Token::default(),
             name: format!("w{}", self.workers.len()),
-            memory: 0,
-            threads: 1,
-            backend: "cpu".into(),
-            numeric_class: "sim".into(),
+            role: Role::Worker(Abilities {
+                memory: 0,
+                threads: 1,
+                backend: "cpu".into(),
+                numeric_class: "sim".into(),
+            }),
         };
         self.coordinator.connected(self.now);
         let speed = 20 + self.below(200);

@@ -7,23 +7,25 @@ use std::path::{Path, PathBuf};
 use toml::Table;
 
 /// Doors: a crate and the crates that it may depend on. An arrow allows the whole chain behind it.
-const DOORS: [(&str, &[&str]); 10] = [
+const DOORS: [(&str, &[&str]); 11] = [
     ("tessera-geometry", &[]),
     ("tessera-wire", &[]),
+    ("tessera-trust", &["tessera-wire"]),
     ("tessera-scene", &["tessera-geometry"]),
     ("tessera-quantize", &["tessera-geometry"]),
     ("tessera-kdtree", &["tessera-geometry"]),
     ("tessera-pack", &["tessera-kdtree", "tessera-quantize"]),
     ("tessera-whitted", &["tessera-pack"]),
-    ("tessera-worker", &["tessera-wire", "tessera-pack", "tessera-whitted"]),
-    ("tessera-master", &["tessera-wire", "tessera-pack", "tessera-scene"]),
+    ("tessera-worker", &["tessera-trust", "tessera-pack", "tessera-whitted"]),
+    ("tessera-master", &["tessera-trust", "tessera-pack", "tessera-scene"]),
     ("tessera", &["tessera-master", "tessera-worker"]),
 ];
 
 /// Crates that may be named by these manifests only.
-const RESERVED: [(&str, &[&str]); 4] = [
+const RESERVED: [(&str, &[&str]); 5] = [
     ("tokio", &["tessera", "tessera-master", "tessera-worker"]),
     ("quinn", &["tessera-master", "tessera-worker"]),
+    ("rcgen", &["tessera-trust"]),
     ("wgpu", &["tessera-worker"]),
     ("obvhs", &["tessera"]),
 ];

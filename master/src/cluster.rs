@@ -2,21 +2,27 @@
 
 use crate::{
     FrameJob, FrameResult, Link, Progress, Timings, Traffic,
+    admission::{Admission, Admitted},
     coordinator::{Coordinator, Event, FrameStatus, Outcome, Output},
+    door::{self, Door, Guest},
     line::{Counters, Input, Line, Tile},
-    net::{self, Authority},
-    spawn,
+    net, spawn,
     transport::PipeError,
 };
 use quinn::VarInt;
 use std::{
+    collections::BTreeMap,
     ffi::OsString,
+    net::{Ipv4Addr, SocketAddr},
     path::PathBuf,
-    sync::{Arc, atomic::Ordering},
+    sync::{Arc, Mutex, atomic::Ordering},
     time::Duration,
 };
 use tessera_pack::Pack;
-use tessera_wire::{AbortCode, LocalTicket, PackId, WorkerId};
+use tessera_trust::Identity;
+use tessera_wire::{
+    AbortCode, Fingerprint, JoinString, LocalTicket, PackId, Refusal, ToMaster, WorkerId, limits,
+};
 use tokio::{
     process::{Child, ChildStdin},
     sync::mpsc,
@@ -58,6 +64,17 @@ pub struct ClusterConfig {
     pub patience: Duration,
 }
 
+/// Where a master waits for workers from anywhere.
+#[derive(Clone, Debug)]
+pub struct ListenConfig {
+    /// The UDP socket's address.
+    pub listen: SocketAddr,
+    /// Host and port in the join string; `None`, or port 0: what the socket has.
+    pub advertise: Option<(String, u16)>,
+    /// How long the join string lets strangers in; `None`: as long as the master runs.
+    pub token_ttl: Option<Duration>,
+}
+
 /// Workers that have joined. Dropping it ends local worker processes.
 pub struct Cluster {
     coordinator: Coordinator,
@@ -68,6 +85,8 @@ pub struct Cluster {
     /// By worker id.
     lines: Vec<Line>,
     locals: Vec<Local>,
+    /// The workers that are connected from outside this process.
+    identities: BTreeMap<Fingerprint, WorkerId>,
     endpoint: Option<quinn::Endpoint>,
     /// Processes and the listener; dropping it kills them.
     tasks: JoinSet<()>,
@@ -85,8 +104,6 @@ pub struct Cluster {
 /// A worker that was given a ticket.
 struct Local {
     name: String,
-    /// Tells its connection from the others'.
-    certificate: Vec<u8>,
     worker: Option<WorkerId>,
     /// A process ends when it closes.
     _stdin: Option<ChildStdin>,
@@ -104,23 +121,7 @@ impl Cluster {
     ///
     /// Does not need the scene: call it before or while the pack is made.
     pub async fn start(workers: Workers, config: ClusterConfig) -> Result<Self, StartError> {
-        let (tell, inputs) = mpsc::channel(Self::INPUTS);
-        let mut this = Self {
-            coordinator: Coordinator::new(config.numeric_class).with_patience(config.patience),
-            begun: Instant::now(),
-            inputs,
-            tell,
-            counters: Arc::default(),
-            lines: Vec::new(),
-            locals: Vec::new(),
-            endpoint: None,
-            tasks: JoinSet::new(),
-            farewells: JoinSet::new(),
-            pack: None,
-            packs: Vec::new(),
-            send_scene: Duration::ZERO,
-            last_lost: String::new(),
-        };
+        let mut this = Self::new(config);
         let count = match workers {
             Workers::Links(links) => {
                 let count = links.len();
@@ -130,11 +131,11 @@ impl Cluster {
                 count
             }
             Workers::Tickets(count, hand_out) => {
-                hand_out(this.listen(count, Some(1))?);
+                hand_out(this.issue(count, Some(1))?);
                 count as usize
             }
             Workers::Local(workers) => {
-                let tickets = this.listen(workers.count, workers.threads)?;
+                let tickets = this.issue(workers.count, workers.threads)?;
                 for (index, (child, stdin)) in spawn::spawn(&workers, &tickets).await?.into_iter().enumerate()
                 {
                     this.tasks.spawn(watch(index, child, this.tell.clone()));
@@ -148,6 +149,28 @@ impl Cluster {
         }
         this.join(count).await?;
         Ok(this)
+    }
+
+    /// Opens the door to workers from anywhere, and returns at once with what they need to join.
+    pub fn listen(config: ClusterConfig, at: ListenConfig) -> Result<(Self, JoinString), StartError> {
+        let setup = |e: tessera_trust::TrustError| StartError::Endpoint(e.to_string());
+        let mut this = Self::new(config);
+        let own = Identity::new().map_err(setup)?;
+        let token = tessera_trust::new_token().map_err(setup)?;
+        let bound = this.open(at.listen, &own, Admission::open(token, at.token_ttl))?;
+        let (host, port) = at.advertise.unwrap_or_else(|| (net::reachable(bound.ip()).to_string(), 0));
+        let port = if port == 0 { bound.port() } else { port };
+        Ok((this, JoinString { host, port, fingerprint: own.fingerprint(), token }))
+    }
+
+    /// Lets workers come and go, and tells of it. Never ends; dropping the future between two words does no harm.
+    pub async fn attend(&mut self, mut progress: impl FnMut(Progress<'_>)) {
+        loop {
+            for event in self.carry_out() {
+                self.report(event, &mut progress);
+            }
+            self.wait().await;
+        }
     }
 
     /// Gives `pack` to every worker and returns when each has answered and at least one holds it, checked; later frames render it.
@@ -240,6 +263,27 @@ impl Cluster {
         self.tasks.shutdown().await;
     }
 
+    fn new(config: ClusterConfig) -> Self {
+        let (tell, inputs) = mpsc::channel(Self::INPUTS);
+        Self {
+            coordinator: Coordinator::new(config.numeric_class).with_patience(config.patience),
+            begun: Instant::now(),
+            inputs,
+            tell,
+            counters: Arc::default(),
+            lines: Vec::new(),
+            locals: Vec::new(),
+            identities: BTreeMap::new(),
+            endpoint: None,
+            tasks: JoinSet::new(),
+            farewells: JoinSet::new(),
+            pack: None,
+            packs: Vec::new(),
+            send_scene: Duration::ZERO,
+            last_lost: String::new(),
+        }
+    }
+
     fn now(&self) -> Duration {
         self.begun.elapsed()
     }
@@ -250,17 +294,38 @@ impl Cluster {
         worker
     }
 
-    /// Opens the endpoint; tickets for `count` workers that may come to it.
-    fn listen(&mut self, count: u32, threads: Option<u32>) -> Result<Vec<LocalTicket>, StartError> {
-        let authority = Authority::new().map_err(|e| StartError::Endpoint(e.to_string()))?;
-        let endpoint = net::listen(&authority).map_err(|e| StartError::Endpoint(e.to_string()))?;
-        let address = endpoint.local_addr().map_err(|e| StartError::Endpoint(e.to_string()))?;
-        self.tasks.spawn(accept_all(endpoint.clone(), self.tell.clone()));
+    /// Opens the door at `address` to those whom `admission` lets in; the address that the socket has.
+    fn open(
+        &mut self,
+        address: SocketAddr,
+        own: &Identity,
+        admission: Admission,
+    ) -> Result<SocketAddr, StartError> {
+        let endpoint = net::listen(address, own).map_err(|e| StartError::Endpoint(e.to_string()))?;
+        let bound = endpoint.local_addr().map_err(|e| StartError::Endpoint(e.to_string()))?;
+        let door = Door {
+            endpoint: endpoint.clone(),
+            admission: Mutex::new(admission),
+            begun: self.begun,
+            tell: self.tell.clone(),
+        };
+        self.tasks.spawn(door::keep(Arc::new(door)));
         self.endpoint = Some(endpoint);
-        let tickets = spawn::tickets(count, threads, &authority, address)?;
+        Ok(bound)
+    }
+
+    /// Opens the door on loopback; tickets for `count` workers that may come to it.
+    fn issue(&mut self, count: u32, threads: Option<u32>) -> Result<Vec<LocalTicket>, StartError> {
+        let setup = |e: tessera_trust::TrustError| StartError::Endpoint(e.to_string());
+        let own = Identity::new().map_err(setup)?;
+        let host = Ipv4Addr::LOCALHOST;
+        let tokens: Result<Vec<_>, _> = (0..count).map(|_| tessera_trust::new_token()).collect();
+        let tokens = tokens.map_err(setup)?;
+        let port = self.open((host, 0).into(), &own, Admission::local(tokens.clone()))?.port();
+        let join = |token| JoinString { host: host.to_string(), port, fingerprint: own.fingerprint(), token };
+        let tickets = spawn::tickets(tokens.into_iter().map(join), threads);
         self.locals.extend(tickets.iter().map(|ticket| Local {
             name: ticket.name.clone(),
-            certificate: ticket.certificate.clone(),
             worker: None,
             _stdin: None,
         }));
@@ -312,14 +377,7 @@ impl Cluster {
     fn take(&mut self, input: Input) {
         let now = self.now();
         match input {
-            Input::Linked(certificate, link) => {
-                let known = |local: &Local| local.certificate == certificate && local.worker.is_none();
-                match self.locals.iter().position(known) {
-                    Some(index) => self.locals[index].worker = Some(self.link(*link)),
-                    None => tracing::warn!("{} connects with a certificate that is in use", link.peer),
-                }
-            }
-            Input::NotLinked(reason) => tracing::warn!("a connection was not made: {reason}"),
+            Input::Guest(guest) => self.welcome(*guest),
             Input::Message(worker, message) => self.coordinator.message(worker, message, now),
             Input::Tile(worker, Tile { frame, entry, pixels, wire_bytes }) => {
                 self.coordinator.tile(worker, frame, &entry, &pixels, wire_bytes, now);
@@ -340,8 +398,31 @@ impl Cluster {
         }
     }
 
+    /// Takes in a worker whose `Hello` the door has read.
+    fn welcome(&mut self, guest: Guest) {
+        let now = self.now();
+        let Guest { admitted, identity, hello, link } = guest;
+        let worker = self.link(link);
+        if let Admitted::Local(index) = admitted {
+            self.locals[index].worker = Some(worker);
+        }
+        if let Some(earlier) = self.identities.insert(identity, worker) {
+            self.coordinator.abort(earlier, AbortCode::Replaced, "it has connected again".into(), now);
+        }
+        let is_full = self.coordinator.joined().count() >= limits::WORKERS;
+        match admitted {
+            Admitted::Client => self.coordinator.refuse(worker, Refusal::Role, now),
+            _ if is_full => {
+                self.coordinator.refuse(worker, Refusal::Full { limit: limits::WORKERS as u32 }, now);
+            }
+            Admitted::Local(_) | Admitted::Worker => {}
+        }
+        self.coordinator.message(worker, ToMaster::Hello(hello), now);
+    }
+
     /// Does what the coordinator wants, and hands on its events.
     fn carry_out(&mut self) -> Vec<Event> {
+        while self.farewells.try_join_next().is_some() {}
         let mut events = Vec::new();
         while let Some(output) = self.coordinator.poll() {
             match output {
@@ -369,11 +450,15 @@ impl Cluster {
                 progress(Progress::WorkerLost { name: &name, reason: &reason });
                 self.last_lost = format!("{name}: {reason}");
             }
+            Event::Joined(worker) => {
+                let (name, peer) = (self.describe(worker), &self.lines[worker.0 as usize].peer);
+                progress(Progress::WorkerJoined { name: &name, peer });
+            }
             Event::PackRejected(worker, reason) => {
                 let name = self.describe(worker);
                 progress(Progress::PackRejected { name: &name, reason: &reason.to_string() });
             }
-            Event::Joined(_) | Event::PackHeld(_) => {}
+            Event::PackHeld(_) => {}
         }
     }
 
@@ -414,23 +499,6 @@ async fn watch(index: usize, mut child: Child, tell: mpsc::Sender<Input>) {
         Err(e) => format!("its process cannot be watched ({e})"),
     };
     let _ = tell.send(Input::Exited(index, status)).await;
-}
-
-/// Completes connections until the endpoint is closed.
-async fn accept_all(endpoint: quinn::Endpoint, tell: mpsc::Sender<Input>) {
-    let mut handshakes = JoinSet::new();
-    while let Some(incoming) = endpoint.accept().await {
-        // Those that are over.
-        while handshakes.try_join_next().is_some() {}
-        let tell = tell.clone();
-        handshakes.spawn(async move {
-            let input = match net::accept(incoming).await {
-                Ok((certificate, link)) => Input::Linked(certificate.to_vec(), Box::new(link)),
-                Err(reason) => Input::NotLinked(reason),
-            };
-            let _ = tell.send(input).await;
-        });
-    }
 }
 
 /// Why there is no cluster.

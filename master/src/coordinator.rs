@@ -13,7 +13,7 @@ use std::{
     time::Duration,
 };
 use tessera_wire::{
-    AbortCode, Frame, FrameError, FrameId, PackId, PackRefusal, Rays, TileEntry, TileGrid, ToMaster,
+    AbortCode, Frame, FrameError, FrameId, PackId, PackRefusal, Rays, Refusal, TileEntry, TileGrid, ToMaster,
     ToWorker, WorkerId, limits,
 };
 
@@ -144,7 +144,7 @@ impl Coordinator {
 
     /// The name of a worker that has joined and is not gone.
     pub fn name(&self, worker: WorkerId) -> Option<&str> {
-        Some(self.sessions.get(worker.0 as usize)?.hello()?.name.as_str())
+        self.sessions.get(worker.0 as usize)?.name()
     }
 
     /// Workers that have joined and are not gone.
@@ -216,6 +216,11 @@ impl Coordinator {
     /// What `worker` sends is wrong: it is told so, and cut off.
     pub fn abort(&mut self, worker: WorkerId, code: AbortCode, detail: String, now: Duration) {
         self.with_session(worker, now, |session| session.abort(code, detail));
+    }
+
+    /// `worker`, which has not been answered yet, may not join.
+    pub fn refuse(&mut self, worker: WorkerId, refusal: Refusal, now: Duration) {
+        self.with_session(worker, now, |session| session.refuse(refusal));
     }
 
     /// Time has passed.
@@ -350,8 +355,8 @@ impl Coordinator {
                 Step::Send(message) => self.outputs.push_back(Output::Send(worker, message)),
                 Step::SendPack(pack) => self.outputs.push_back(Output::SendPack(worker, pack)),
                 Step::Joined => {
-                    if let Some(hello) = self.sessions[worker.0 as usize].hello() {
-                        self.numeric_class.get_or_insert_with(|| hello.numeric_class.clone());
+                    if let Some(abilities) = self.sessions[worker.0 as usize].abilities() {
+                        self.numeric_class.get_or_insert_with(|| abilities.numeric_class.clone());
                     }
                     self.outputs.push_back(Output::Event(Event::Joined(worker)));
                     if let Some((pack, length)) = self.pack {

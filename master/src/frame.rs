@@ -70,6 +70,13 @@ pub enum Progress<'a> {
         /// Why.
         reason: &'a str,
     },
+    /// A worker has joined.
+    WorkerJoined {
+        /// Its name.
+        name: &'a str,
+        /// From where.
+        peer: &'a str,
+    },
     /// A worker is gone; the others go on.
     WorkerLost {
         /// Its name.

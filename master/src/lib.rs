@@ -3,10 +3,12 @@
 //! A render is four calls: [`Cluster::start`] gets workers to join, [`Cluster::load`] gives them a pack, [`Cluster::render`] makes a
 //! frame, [`Cluster::stop`] sends them home.
 
+mod admission;
 mod cluster;
 pub mod compare;
 pub mod coordinator;
 mod dispatch;
+mod door;
 mod frame;
 pub mod image;
 mod input;
@@ -19,7 +21,9 @@ mod session;
 mod spawn;
 mod transport;
 
-pub use cluster::{Cluster, ClusterConfig, LoadError, LocalWorkers, RenderError, StartError, Workers};
+pub use cluster::{
+    Cluster, ClusterConfig, ListenConfig, LoadError, LocalWorkers, RenderError, StartError, Workers,
+};
 pub use dispatch::Balance;
 pub use frame::{FrameJob, FrameResult, Progress, Timings, Traffic, WorkerReport};
 pub use image::{FrameBuffer, ImageHash, PixelFormat};

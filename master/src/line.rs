@@ -1,6 +1,9 @@
 //! The tasks that carry one worker's four pipes. They wait for the peer, so that the cluster never does.
 
-use crate::transport::{Link, PipeError, Reader, Writer, read_message, read_raw, write_message};
+use crate::{
+    door::Guest,
+    transport::{Link, PipeError, Reader, Writer, read_message, read_raw, write_message},
+};
 use std::{
     sync::{
         Arc,
@@ -21,10 +24,8 @@ use tokio::{
 
 /// What the tasks tell the cluster.
 pub(crate) enum Input {
-    /// A connection was made with this client certificate.
-    Linked(Vec<u8>, Box<Link>),
-    /// A connection attempt failed.
-    NotLinked(String),
+    /// A peer was let in.
+    Guest(Box<Guest>),
     /// A message came.
     Message(WorkerId, ToMaster),
     /// A tile came.
@@ -62,6 +63,8 @@ pub(crate) struct Line {
     packs: mpsc::UnboundedSender<Pack>,
     control_writer: Option<JoinHandle<()>>,
     connection: Option<quinn::Connection>,
+    /// Once closed.
+    udp_bytes: (u64, u64),
     pub(crate) peer: String,
     /// The other tasks.
     tasks: JoinSet<()>,
@@ -84,7 +87,7 @@ impl Line {
         tasks.spawn(write_packs(worker, pipes.bulk_out, wanted, tell.clone(), counters.clone()));
         let writer = write_control(pipes.control_out, messages, counters.clone());
         let control_writer = Some(tokio::spawn(writer));
-        Self { control: Some(control), packs, control_writer, connection, peer, tasks }
+        Self { control: Some(control), packs, control_writer, connection, udp_bytes: (0, 0), peer, tasks }
     }
 
     /// Queues a message. A broken line has told so, and loses it.
@@ -101,7 +104,7 @@ impl Line {
 
     /// Bytes of UDP payload sent and received.
     pub(crate) fn udp_bytes(&self) -> (u64, u64) {
-        self.connection.as_ref().map_or((0, 0), |connection| {
+        self.connection.as_ref().map_or(self.udp_bytes, |connection| {
             let stats = connection.stats();
             (stats.udp_tx.bytes, stats.udp_rx.bytes)
         })
@@ -113,7 +116,8 @@ impl Line {
         const FAREWELL: Duration = Duration::from_secs(1);
         self.control = None;
         self.tasks.abort_all();
-        let (writer, connection) = (self.control_writer.take(), self.connection.clone());
+        self.udp_bytes = self.udp_bytes();
+        let (writer, connection) = (self.control_writer.take(), self.connection.take());
         async move {
             let see_off = async {
                 if let Some(writer) = writer {

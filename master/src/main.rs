@@ -11,7 +11,7 @@ use tracing_subscriber::EnvFilter;
 
 fn main() -> ExitCode {
     let result = Cli::try_parse().map_err(usage_error).and_then(|cli| {
-        start_logging(&cli.log)?;
+        start_logging(&cli.log, cli.command.is_service())?;
         cli.run()
     });
     match result {
@@ -43,12 +43,12 @@ fn usage_error(error: clap::Error) -> CommandError {
     }
 }
 
-/// Logs go to stderr: warnings, and with `-v` and `-vv` more; `RUST_LOG` decides if it is set.
-fn start_logging(args: &LogArgs) -> Result<(), CommandError> {
+/// Logs go to stderr: warnings, of a service what happens too, and with `-v` and `-vv` more; `RUST_LOG` decides if it is set.
+fn start_logging(args: &LogArgs, is_service: bool) -> Result<(), CommandError> {
     let filter = match std::env::var("RUST_LOG") {
         Ok(filter) if !filter.is_empty() => EnvFilter::try_new(filter)
             .map_err(|e| CommandError::Usage(format!("RUST_LOG cannot be read: {e}")))?,
-        _ => EnvFilter::new(match args.verbose {
+        _ => EnvFilter::new(match args.verbose + u8::from(is_service) {
             0 => "warn",
             1 => "warn,tessera=info,tessera_master=info,tessera_worker=info,tessera_scene=info",
             _ => "info,tessera=debug,tessera_master=debug,tessera_worker=debug,tessera_scene=debug",

@@ -35,6 +35,7 @@ pub enum OutputError {
 #[derive(Clone, Debug)]
 pub struct OutputFile {
     path: PathBuf,
+    is_secret: bool,
 }
 
 impl OutputFile {
@@ -58,9 +59,14 @@ impl OutputFile {
         if !folder.is_dir() {
             return Err(refuse(&format!("the folder {} does not exist; create it first", folder.display())));
         }
-        let output = Self { path: target };
+        let output = Self { path: target, is_secret: false };
         drop(output.temporary()?);
         Ok(output)
+    }
+
+    /// The same, to be readable by its owner alone (on Unix).
+    pub fn secret(self) -> Self {
+        Self { is_secret: true, ..self }
     }
 
     /// Where the file will lie.
@@ -108,7 +114,7 @@ impl OutputFile {
         {
             // As any new file: what the umask leaves of read and write for all (the crate's own default is the owner alone).
             use std::os::unix::fs::PermissionsExt;
-            builder.permissions(fs::Permissions::from_mode(0o666));
+            builder.permissions(fs::Permissions::from_mode(if self.is_secret { 0o600 } else { 0o666 }));
         }
         let mut unfinished = unfinished();
         let file = builder
@@ -251,6 +257,18 @@ mod tests {
             assert!(!out.is_at(&folder.path().join("none/a.png")), "{exists}");
             out.write_bytes(b"now it does").unwrap();
         }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_secret_is_its_owner_s_alone() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        // One that everybody could read lay there before.
+        fs::write(&path, b"old").unwrap();
+        OutputFile::check(&path).unwrap().secret().write_bytes(b"new").unwrap();
+        assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
     }
 
     #[cfg(unix)]

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 use tessera_wire::{
-    AbortCode, FrameId, Hello, PackId, PackRefusal, Refusal, ToMaster, ToWorker, Version, WorkerId, limits,
-    plain_text,
+    Abilities, AbortCode, FrameId, Hello, PackId, PackRefusal, Refusal, Role, ToMaster, ToWorker, Version,
+    WorkerId, limits, plain_text,
 };
 
 /// State of one connection. Times are counted from the cluster's start.
@@ -19,7 +19,7 @@ enum Phase {
     /// Nothing has come yet.
     Greeting,
     /// `Welcome` is sent.
-    Joined { hello: Hello, holding: Holding, next: Option<(PackId, u64)> },
+    Joined { name: String, abilities: Abilities, holding: Holding, next: Option<(PackId, u64)> },
     /// Nothing is taken any more.
     Over,
 }
@@ -75,10 +75,18 @@ impl Session {
         self.deadline
     }
 
-    /// The worker's introduction, once it has joined and until it is gone.
-    pub fn hello(&self) -> Option<&Hello> {
+    /// The worker's name, once it has joined and until it is gone.
+    pub fn name(&self) -> Option<&str> {
         match &self.phase {
-            Phase::Joined { hello, .. } => Some(hello),
+            Phase::Joined { name, .. } => Some(name),
+            Phase::Greeting | Phase::Over => None,
+        }
+    }
+
+    /// What the worker says of itself, once it has joined and until it is gone.
+    pub fn abilities(&self) -> Option<&Abilities> {
+        match &self.phase {
+            Phase::Joined { abilities, .. } => Some(abilities),
             Phase::Greeting | Phase::Over => None,
         }
     }
@@ -147,9 +155,9 @@ impl Session {
     }
 
     /// Offers a pack of `length` bytes. Nothing happens if the worker has not joined, or holds it already. A worker in the middle of
-    /// taking another one is offered it after that.
+    /// taking another one is offered it after that; one that has said that it has no room for it is not asked.
     pub fn offer(&mut self, pack: PackId, length: u64, now: Duration) -> Vec<Step> {
-        let Phase::Joined { holding, next, .. } = &mut self.phase else { return Vec::new() };
+        let Phase::Joined { holding, next, abilities, .. } = &mut self.phase else { return Vec::new() };
         match holding {
             Holding::Held(held) if *held == pack => return vec![Step::PackHeld],
             Holding::Offered(other) | Holding::Awaited(other) => {
@@ -157,6 +165,11 @@ impl Session {
                 return Vec::new();
             }
             _ => {}
+        }
+        if abilities.memory > 0 && length > abilities.memory {
+            let reason = PackRefusal::OutOfMemory { needs: length, has: abilities.memory };
+            *holding = Holding::Rejected(reason.clone());
+            return vec![Step::PackRejected(reason)];
         }
         *holding = Holding::Offered(pack);
         self.deadline = Some(now + limits::pack_timeout(length));
@@ -183,6 +196,17 @@ impl Session {
         }
         let mut steps = vec![Step::Send(ToWorker::Abort { code, detail: detail.clone() })];
         steps.extend(self.end(code, format!("{code}: {detail}")));
+        steps
+    }
+
+    /// Does not let the worker join.
+    pub fn refuse(&mut self, refusal: Refusal) -> Vec<Step> {
+        if !matches!(self.phase, Phase::Greeting) {
+            return Vec::new();
+        }
+        let reason = refusal.to_string();
+        let mut steps = vec![Step::Send(ToWorker::Refuse(refusal))];
+        steps.extend(self.end(AbortCode::Refused, reason));
         steps
     }
 
@@ -216,49 +240,50 @@ impl Session {
     }
 
     fn greet(&mut self, hello: Hello, numeric_class: Option<&str>) -> Vec<Step> {
-        let refusal = match (hello.check(), Version::common(&hello.versions)) {
-            (Err(detail), _) => Refusal::Malformed { detail },
-            (Ok(()), None) => Refusal::Version { supported: Version::supported_numbers() },
-            (Ok(()), Some(version)) => match numeric_class {
-                Some(expected) if expected != hello.numeric_class => {
+        let refusal = match (hello.check(), Version::common(&hello.versions), hello.role) {
+            (Err(detail), ..) => Refusal::Malformed { detail },
+            (_, None, _) => Refusal::Version { supported: Version::supported_numbers() },
+            (.., Role::Client) => Refusal::Role,
+            (_, Some(version), Role::Worker(abilities)) => match numeric_class {
+                Some(expected) if expected != abilities.numeric_class => {
                     Refusal::NumericClass { expected: expected.into() }
                 }
                 _ => {
-                    self.phase = Phase::Joined { hello, holding: Holding::Nothing, next: None };
+                    let (name, holding) = (hello.name, Holding::Nothing);
+                    self.phase = Phase::Joined { name, abilities, holding, next: None };
                     self.deadline = None;
                     let welcome = ToWorker::Welcome { version: version.number(), worker: self.worker };
                     return vec![Step::Send(welcome), Step::Joined];
                 }
             },
         };
-        let reason = refusal.to_string();
-        let mut steps = vec![Step::Send(ToWorker::Refuse(refusal))];
-        steps.extend(self.end(AbortCode::Refused, reason));
-        steps
+        self.refuse(refusal)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tessera_wire::Token;
 
     const NOW: Duration = Duration::from_secs(100);
     const PACK: PackId = PackId([7; 32]);
 
     fn hello() -> Hello {
-        Hello {
-            versions: vec![1],
-            name: "w".into(),
-            memory: 1 << 30,
-            threads: 1,
-            backend: "cpu".into(),
-            numeric_class: "cpu-1".into(),
-        }
+        hello_with(|_| ())
+    }
+
+    fn hello_with(change: impl FnOnce(&mut Abilities)) -> Hello {
+        let mut abilities =
+            Abilities { memory: 1 << 30, threads: 1, backend: "cpu".into(), numeric_class: "cpu-1".into() };
+        change(&mut abilities);
+        let role = Role::Worker(abilities);
+        Hello { versions: vec![2], token: Token::default(), name: "w".into(), role }
     }
 
     fn joined() -> Session {
         let mut s = Session::new(WorkerId(3), NOW);
-        let welcome = ToWorker::Welcome { version: 1, worker: WorkerId(3) };
+        let welcome = ToWorker::Welcome { version: 2, worker: WorkerId(3) };
         assert_eq!(
             s.message(ToMaster::Hello(hello()), Some("cpu-1"), NOW),
             [Step::Send(welcome), Step::Joined]
@@ -269,7 +294,7 @@ mod tests {
     /// The session is over for `code`, and takes nothing any more.
     fn check_over(s: &mut Session, steps: &[Step], code: AbortCode) {
         assert!(matches!(steps.last(), Some(Step::Over { code: c, .. }) if *c == code), "{steps:?}");
-        assert!(s.hello().is_none() && s.deadline().is_none());
+        assert!(s.name().is_none() && s.abilities().is_none() && s.deadline().is_none());
         assert_eq!(s.message(ToMaster::Leave, None, NOW), []);
         assert_eq!(s.tick(NOW * 100), []);
         assert_eq!(s.dismiss(), []);
@@ -308,14 +333,21 @@ mod tests {
             assert_eq!(steps[0], Step::Send(ToWorker::Refuse(refusal)));
             check_over(&mut s, &steps, AbortCode::Refused);
         };
-        check(&|h| h.versions = vec![9], None, Refusal::Version { supported: vec![1] });
+        for other in [1, 9] {
+            check(&|h| h.versions = vec![other], None, Refusal::Version { supported: vec![2] });
+        }
+        check(&|h| h.role = Role::Client, None, Refusal::Role);
         check(&|_| (), Some("gpu-1"), Refusal::NumericClass { expected: "gpu-1".into() });
-        check(&|h| h.threads = 0, None, Refusal::Malformed { detail: "0 threads".into() });
+        check(
+            &|h| *h = hello_with(|a| a.threads = 0),
+            None,
+            Refusal::Malformed { detail: "0 threads".into() },
+        );
         let texts = "name must have 1 to 512 bytes and no control characters";
         check(&|h| h.name = "\x1b[2J".into(), None, Refusal::Malformed { detail: texts.into() });
         check(&|h| h.name = String::new(), None, Refusal::Malformed { detail: texts.into() });
         let many = "17 versions, at most 16 are allowed";
-        check(&|h| h.versions = vec![1; 17], None, Refusal::Malformed { detail: many.into() });
+        check(&|h| h.versions = vec![2; 17], None, Refusal::Malformed { detail: many.into() });
     }
 
     #[test]
@@ -327,7 +359,7 @@ mod tests {
 
         let mut s = joined();
         assert_eq!(s.deadline(), None, "a quiet worker between packs is nobody's business but QUIC's");
-        s.offer(PACK, 1 << 30, NOW);
+        assert_eq!(s.offer(PACK, 1 << 30, NOW).len(), 1);
         assert!(s.deadline().unwrap() > NOW + Duration::from_secs(1000), "a large pack takes its time");
         let steps = s.tick(s.deadline().unwrap());
         check_over(&mut s, &steps, AbortCode::Timeout);
@@ -363,8 +395,22 @@ mod tests {
             s.message(ToMaster::PackRejected { pack: PACK, reason: reason.clone() }, None, NOW),
             [Step::PackRejected(reason)]
         );
-        assert!(s.hello().is_some() && !s.holds(PACK) && !s.awaits_pack() && s.deadline().is_none());
+        assert!(s.name().is_some() && !s.holds(PACK) && !s.awaits_pack() && s.deadline().is_none());
         assert!(matches!(s.offer(PackId([1; 32]), 4, NOW)[..], [Step::Send(ToWorker::PackOffer { .. })]));
+    }
+
+    #[test]
+    fn a_pack_that_cannot_fit_is_not_offered() {
+        let mut s = joined();
+        let (needs, has) = ((1 << 30) + 1, 1 << 30);
+        let rejected = Step::PackRejected(PackRefusal::OutOfMemory { needs, has });
+        assert_eq!(s.offer(PACK, needs, NOW), [rejected]);
+        assert_eq!(s.rejection(), Some(&PackRefusal::OutOfMemory { needs, has }));
+        assert!(s.name().is_some() && !s.awaits_pack() && s.deadline().is_none());
+        let mut s = Session::new(WorkerId(0), NOW);
+        s.message(ToMaster::Hello(hello_with(|a| a.memory = 0)), None, NOW);
+        let offer = ToWorker::PackOffer { pack: PACK, length: 1 << 40 };
+        assert_eq!(s.offer(PACK, 1 << 40, NOW), [Step::Send(offer)], "one that does not know is asked");
     }
 
     #[test]

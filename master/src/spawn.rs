@@ -1,38 +1,22 @@
 //! Worker processes on this machine.
 
-use crate::{
-    cluster::{LocalWorkers, StartError},
-    net::{Authority, Identity},
-};
-use std::{net::SocketAddr, process::Stdio, thread::available_parallelism};
-use tessera_wire::{LocalTicket, codec};
+use crate::cluster::{LocalWorkers, StartError};
+use std::{process::Stdio, thread::available_parallelism};
+use tessera_wire::{JoinString, LocalTicket, codec};
 use tokio::{
     io::AsyncWriteExt,
     process::{Child, ChildStdin, Command},
 };
 
-/// What `count` workers need to join, by the name `local-0` and so on. `threads` as in [`LocalWorkers`].
+/// What each worker needs that joins by one of `joins`, by the name `local-0` and so on. `threads` as in [`LocalWorkers`].
 pub(crate) fn tickets(
-    count: u32,
+    joins: impl ExactSizeIterator<Item = JoinString>,
     threads: Option<u32>,
-    authority: &Authority,
-    address: SocketAddr,
-) -> Result<Vec<LocalTicket>, StartError> {
-    let ticket = |index| {
-        let name = format!("local-{index}");
-        let Identity { certificate, key } =
-            authority.worker(&name).map_err(|e| StartError::Endpoint(e.to_string()))?;
-        Ok(LocalTicket {
-            address: address.to_string(),
-            name,
-            threads: threads.unwrap_or_else(|| fair_share(count)),
-            sharers: count,
-            authority: authority.certificate().to_vec(),
-            certificate: certificate.to_vec(),
-            key,
-        })
-    };
-    (0..count).map(ticket).collect()
+) -> Vec<LocalTicket> {
+    let sharers = joins.len() as u32;
+    let threads = threads.unwrap_or_else(|| fair_share(sharers));
+    let ticket = |(index, join)| LocalTicket { join, name: format!("local-{index}"), threads, sharers };
+    joins.enumerate().map(ticket).collect()
 }
 
 /// Starts a process for each ticket and hands it over through standard input, which must then be kept open:

@@ -1,10 +1,11 @@
 //! Holds a pack, renders tiles and returns them in batches.
 //!
-//! [`run_local`] is a whole worker process; [`serve`] is a worker on any four pipes (an in-memory link of the
-//! master's, for one). A worker never parses a user's scene file: it receives a pack, and checks it.
+//! [`run_local`] is a whole worker process that a master has started, [`serve_master`] one that joins a master anywhere; [`serve`] is a
+//! worker on any four pipes (an in-memory link of the master's, for one). A worker never parses a user's scene file: it receives a pack, and checks it.
 
 mod backend;
 mod cache;
+mod join;
 mod local;
 mod net;
 mod pipes;
@@ -14,6 +15,8 @@ mod serve;
 pub mod session;
 
 pub use cache::PackCache;
+pub use join::{JoinError, serve_master};
 pub use local::{run_local, serve_ticket};
+pub use net::{Closer, Connected, connect};
 pub use serve::{WorkerConfig, WorkerError, WorkerPipes, serve};
 pub use tessera_whitted::NUMERIC_CLASS;

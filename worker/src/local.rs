@@ -2,10 +2,11 @@
 
 use crate::{
     WorkerConfig, WorkerError,
-    net::connect,
-    serve::{free_memory, serve_until},
+    join::{JoinError, serve_master},
+    serve::free_memory,
 };
 use std::{io::Read, time::Duration};
+use tessera_trust::Identity;
 use tessera_wire::{
     LocalTicket,
     codec::{self, Message, PREFIX_BYTES},
@@ -26,21 +27,13 @@ pub async fn run_local() -> Result<(), WorkerError> {
     serve_ticket(ticket, stop).await
 }
 
-/// Connects to the master that wrote `ticket` and serves it until it dismisses the worker, or until `stop` is
-/// ready.
+/// Joins the master that wrote `ticket` and serves it until it dismisses the worker, or until `stop` is ready.
 pub async fn serve_ticket(ticket: LocalTicket, stop: impl Future<Output = ()>) -> Result<(), WorkerError> {
-    tokio::pin!(stop);
-    let connection = tokio::select! {
-        connection = connect(&ticket) => connection?,
-        () = &mut stop => return Ok(()),
-    };
-    tracing::info!("{} is connected to {}", ticket.name, ticket.address);
+    let own = Identity::new().map_err(|e| JoinError::Setup(e.to_string()))?;
     // Each of them holds a pack of its own, and none has one yet.
     let memory = free_memory().map(|bytes| bytes / u64::from(ticket.sharers.max(1)));
     let config = WorkerConfig { name: ticket.name, threads: ticket.threads, memory, cache: None };
-    let served = serve_until(connection.pipes, config, stop).await;
-    connection.closer.close(served.is_ok()).await;
-    served
+    serve_master(&ticket.join, &own, config, stop).await
 }
 
 /// The ticket, and a receiver that is ready once standard input has ended: the master is gone, however it
@@ -98,18 +91,13 @@ async fn terminated() {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tessera_wire::{Fingerprint, JoinString, Token};
 
     #[test]
     fn a_ticket_is_read_and_what_is_none_is_not() {
-        let ticket = LocalTicket {
-            address: "127.0.0.1:1".into(),
-            name: "w".into(),
-            threads: 1,
-            sharers: 1,
-            authority: vec![1],
-            certificate: vec![2],
-            key: vec![3],
-        };
+        let (fingerprint, token) = (Fingerprint([1; 32]), Token([2; 16]));
+        let join = JoinString { host: "127.0.0.1".into(), port: 1, fingerprint, token };
+        let ticket = LocalTicket { join, name: "w".into(), threads: 1, sharers: 1 };
         let bytes = codec::encode(&ticket).unwrap();
         assert_eq!(parse_ticket(&mut &bytes[..]), Ok(ticket));
         assert!(parse_ticket(&mut &bytes[..bytes.len() - 1]).is_err());

@@ -1,37 +1,51 @@
-//! QUIC, the worker's side.
+//! QUIC, the joiner's side: of a worker, and of a client, whose connection is made the same way.
 
-use crate::{WorkerError, WorkerPipes};
-use quinn::{
-    ClientConfig, Connection, Endpoint, EndpointConfig, IdleTimeout, MtuDiscoveryConfig, TransportConfig,
-    VarInt, crypto::rustls::QuicClientConfig,
+use crate::{
+    WorkerPipes,
+    join::JoinError,
+    pipes::{Reader, Writer},
 };
-use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer};
+use quinn::{
+    ClientConfig, Connection, ConnectionError, Endpoint, EndpointConfig, IdleTimeout, MtuDiscoveryConfig,
+    RecvStream, TransportConfig, TransportErrorCode, VarInt, crypto::rustls::QuicClientConfig,
+};
 use std::{
+    io,
     net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
+    pin::Pin,
     sync::Arc,
+    task::{Context, Poll, ready},
     time::Duration,
 };
-use tessera_wire::{AbortCode, LocalTicket, codec, limits};
-use tokio::time::timeout;
+use tessera_trust::{Identity, OTHER_PROTOCOL_ALERT, WRONG_MASTER_ALERT};
+use tessera_wire::{AbortCode, JoinString, codec, limits};
+use tokio::{
+    io::{AsyncRead, ReadBuf},
+    net::lookup_host,
+    time::timeout,
+};
 
-/// A connection to a master that has taken the worker's certificate; nothing was said yet.
-pub(crate) struct Connected {
-    pub(crate) pipes: WorkerPipes,
-    pub(crate) closer: Closer,
+/// A connection to the master of a join string; nothing was said yet.
+pub struct Connected {
+    /// To speak over.
+    pub pipes: WorkerPipes,
+    /// To end it.
+    pub closer: Closer,
 }
 
 /// What ends a connection.
-pub(crate) struct Closer {
+pub struct Closer {
     endpoint: Endpoint,
     connection: Connection,
 }
 
 impl Closer {
-    /// Lets the last messages out, then closes.
-    pub(crate) async fn close(self, in_peace: bool) {
-        /// How long the master may take to close after this side's last message.
+    /// Closes the connection once the last messages are out. `spoke_last`: the master has yet to read what was said last, and closes
+    /// then; waits a second for it.
+    pub async fn close(self, spoke_last: bool) {
+        /// How long the master may take.
         const FAREWELL: Duration = Duration::from_secs(1);
-        if !in_peace {
+        if spoke_last {
             let _ = timeout(FAREWELL, self.connection.closed()).await;
         }
         self.connection.close(VarInt::from_u32(AbortCode::Done.number()), b"");
@@ -39,38 +53,121 @@ impl Closer {
     }
 }
 
-/// Connects to the master of `ticket`, both sides showing their certificates.
-pub(crate) async fn connect(ticket: &LocalTicket) -> Result<Connected, WorkerError> {
-    let failed = |reason: String| WorkerError::Connect { address: ticket.address.clone(), reason };
-    let try_connect = async {
-        let address: SocketAddr = ticket.address.parse().map_err(|_| "not an address".to_string())?;
-        let endpoint = endpoint(address)?;
-        let connecting = endpoint
-            .connect_with(client_config(ticket)?, address, codec::SERVER_NAME)
-            .map_err(|e| e.to_string())?;
-        let connection = connecting.await.map_err(|e| e.to_string())?;
-        // The handshake ends on this side before the master has judged the certificate: its first stream is
-        // the proof that it has.
-        let (control_out, control_in) = connection.open_bi().await.map_err(|e| e.to_string())?;
-        let mut bulk_out = connection.open_uni().await.map_err(|e| e.to_string())?;
-        bulk_out.write_all(&codec::BULK_TAG).await.map_err(|e| e.to_string())?;
-        let mut bulk_in = connection.accept_uni().await.map_err(|e| e.to_string())?;
-        let mut tag = [0; codec::BULK_TAG.len()];
-        bulk_in.read_exact(&mut tag).await.map_err(|e| e.to_string())?;
-        if tag != codec::BULK_TAG {
-            return Err("it does not speak this protocol".to_string());
-        }
-        let pipes = WorkerPipes {
-            control_in: Box::new(control_in),
-            control_out: Box::new(control_out),
-            bulk_in: Box::new(bulk_in),
-            bulk_out: Box::new(bulk_out),
-        };
-        Ok(Connected { pipes, closer: Closer { endpoint, connection } })
+/// Connects to the master that `join` names, showing `own`. The master says nothing before it has read a `Hello` with the token.
+///
+/// The host is looked up each time; its addresses are tried one after the other.
+pub async fn connect(join: &JoinString, own: &Identity) -> Result<Connected, JoinError> {
+    /// Addresses of one name that are tried.
+    const ADDRESSES: usize = 4;
+    let unreachable = |reason: String| JoinError::Unreachable { address: join.address(), reason };
+    let found = timeout(limits::HANDSHAKE_TIMEOUT, lookup_host((join.host.as_str(), join.port))).await;
+    let addresses: Vec<_> = match found {
+        Ok(Ok(addresses)) => addresses.take(ADDRESSES).collect(),
+        Ok(Err(e)) => return Err(JoinError::Unknown { host: join.host.clone(), reason: e.to_string() }),
+        Err(_) => return Err(JoinError::Unknown { host: join.host.clone(), reason: "no answer".into() }),
     };
-    match timeout(limits::HANDSHAKE_TIMEOUT, try_connect).await {
-        Ok(result) => result.map_err(failed),
-        Err(_) => Err(failed("no answer in time".into())),
+    let tls =
+        tessera_trust::joiner_config(own, join.fingerprint).map_err(|e| JoinError::Setup(e.to_string()))?;
+    let quic = QuicClientConfig::try_from(tls).map_err(|e| JoinError::Setup(e.to_string()))?;
+    let mut config = ClientConfig::new(Arc::new(quic));
+    config.transport_config(Arc::new(transport()));
+    let mut failed = unreachable("the name has no address".into());
+    for address in addresses {
+        let attempt = connect_to(address, config.clone(), join);
+        failed = match timeout(limits::HANDSHAKE_TIMEOUT, attempt).await {
+            Ok(Ok(connected)) => return Ok(connected),
+            Ok(Err(error)) => error,
+            Err(_) => unreachable("no answer in time".into()),
+        };
+    }
+    Err(failed)
+}
+
+async fn connect_to(
+    address: SocketAddr,
+    config: ClientConfig,
+    join: &JoinString,
+) -> Result<Connected, JoinError> {
+    let broken = |error: ConnectionError| broken(error, join);
+    let endpoint = endpoint(address).map_err(JoinError::Setup)?;
+    let connecting = endpoint
+        .connect_with(config, address, codec::SERVER_NAME)
+        .map_err(|e| JoinError::Unreachable { address: join.address(), reason: e.to_string() })?;
+    let connection = connecting.await.map_err(broken)?;
+    let (control_out, control_in) = connection.open_bi().await.map_err(broken)?;
+    let mut bulk_out: Writer = Box::new(connection.open_uni().await.map_err(broken)?);
+    let sent = tokio::io::AsyncWriteExt::write_all(&mut bulk_out, &codec::BULK_TAG).await;
+    sent.map_err(|e| JoinError::Unreachable { address: join.address(), reason: e.to_string() })?;
+    let pipes = WorkerPipes {
+        control_in: Box::new(control_in),
+        control_out: Box::new(control_out),
+        bulk_in: late_bulk(connection.clone()),
+        bulk_out,
+    };
+    Ok(Connected { pipes, closer: Closer { endpoint, connection } })
+}
+
+/// What a failed handshake means.
+fn broken(error: ConnectionError, join: &JoinString) -> JoinError {
+    let address = join.address();
+    match error {
+        ConnectionError::TransportError(e) if e.code == TransportErrorCode::crypto(WRONG_MASTER_ALERT) => {
+            JoinError::OtherMaster { address }
+        }
+        ConnectionError::ConnectionClosed(close)
+            if close.error_code == TransportErrorCode::crypto(OTHER_PROTOCOL_ALERT) =>
+        {
+            JoinError::NotTessera { address }
+        }
+        ConnectionError::VersionMismatch => JoinError::NotTessera { address },
+        ConnectionError::ConnectionClosed(close)
+            if close.error_code == TransportErrorCode::CONNECTION_REFUSED =>
+        {
+            JoinError::Busy { address }
+        }
+        ConnectionError::ApplicationClosed(close)
+            if close.error_code == VarInt::from_u32(AbortCode::Busy.number()) =>
+        {
+            JoinError::Busy { address }
+        }
+        ConnectionError::TimedOut => JoinError::Unreachable { address, reason: "no answer".into() },
+        other => JoinError::Unreachable { address, reason: other.to_string() },
+    }
+}
+
+/// The master's bulk stream, which it opens only once it has let the joiner in: looked for at the first read.
+fn late_bulk(connection: Connection) -> Reader {
+    let opening = async move {
+        let mut stream = connection.accept_uni().await?;
+        let mut tag = [0; codec::BULK_TAG.len()];
+        stream.read_exact(&mut tag).await.map_err(io::Error::other)?;
+        if tag == codec::BULK_TAG {
+            Ok(stream)
+        } else {
+            Err(io::Error::new(io::ErrorKind::InvalidData, "it does not speak this protocol"))
+        }
+    };
+    Box::new(LateBulk::Opening(Box::pin(opening)))
+}
+
+enum LateBulk {
+    Opening(Pin<Box<dyn Future<Output = io::Result<RecvStream>> + Send>>),
+    Open(RecvStream),
+}
+
+impl AsyncRead for LateBulk {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        if let Self::Opening(opening) = &mut *self {
+            *self = Self::Open(ready!(opening.as_mut().poll(cx))?);
+        }
+        match &mut *self {
+            Self::Open(stream) => AsyncRead::poll_read(Pin::new(stream), cx, buffer),
+            Self::Opening(_) => Poll::Pending,
+        }
     }
 }
 
@@ -89,25 +186,6 @@ fn endpoint(master: SocketAddr) -> Result<Endpoint, String> {
     let mut config = EndpointConfig::default();
     config.max_udp_payload_size(limits::UDP_PAYLOAD_BYTES).map_err(|e| e.to_string())?;
     Endpoint::new(config, None, socket, runtime).map_err(|e| e.to_string())
-}
-
-fn client_config(ticket: &LocalTicket) -> Result<ClientConfig, String> {
-    let mut roots = rustls::RootCertStore::empty();
-    roots.add(CertificateDer::from(ticket.authority.clone())).map_err(|e| e.to_string())?;
-    let key = PrivateKeyDer::Pkcs8(PrivatePkcs8KeyDer::from(ticket.key.clone()));
-    let chain = vec![CertificateDer::from(ticket.certificate.clone())];
-    let provider = Arc::new(rustls::crypto::ring::default_provider());
-    let mut tls = rustls::ClientConfig::builder_with_provider(provider)
-        .with_protocol_versions(&[&rustls::version::TLS13])
-        .map_err(|e| e.to_string())?
-        .with_root_certificates(roots)
-        .with_client_auth_cert(chain, key)
-        .map_err(|e| e.to_string())?;
-    tls.alpn_protocols = vec![codec::ALPN.to_vec()];
-    let quic = QuicClientConfig::try_from(tls).map_err(|e| e.to_string())?;
-    let mut config = ClientConfig::new(Arc::new(quic));
-    config.transport_config(Arc::new(transport()));
-    Ok(config)
 }
 
 /// QUIC's settings on this side; the numbers and their reasons are in [`limits`]. The master has the mirror

@@ -3,6 +3,7 @@
 use crate::{
     NUMERIC_CLASS, PackCache,
     backend::cpu,
+    join::JoinError,
     pipes::{PipeError, Reader, Writer, read_message, write_message},
     receive::{Assembly, receive},
     render::{RenderEvent, RenderThread},
@@ -13,7 +14,10 @@ use std::{
     time::Duration,
 };
 use tessera_pack::Pack;
-use tessera_wire::{AbortCode, Hello, PackId, PackRefusal, Refusal, ToMaster, ToWorker, Version, plain_text};
+use tessera_wire::{
+    Abilities, AbortCode, Hello, PackId, PackRefusal, Refusal, Role, ToMaster, ToWorker, Token, Version,
+    plain_text,
+};
 use tokio::{
     io::AsyncWriteExt,
     sync::mpsc,
@@ -52,14 +56,9 @@ pub enum WorkerError {
     /// Standard input does not hold a ticket: the command was not started by a master.
     #[error("no ticket on standard input ({0}): this command is for `tessera` itself to start")]
     Ticket(String),
-    /// The master cannot be reached, or does not take this worker's certificate.
-    #[error("cannot connect to the master at {address}: {reason}")]
-    Connect {
-        /// Where.
-        address: String,
-        /// Why.
-        reason: String,
-    },
+    /// There is no connection to the master.
+    #[error(transparent)]
+    Join(#[from] JoinError),
     /// The render threads cannot be started.
     #[error("cannot start the render threads: {0}")]
     Threads(String),
@@ -79,26 +78,43 @@ pub enum WorkerError {
     },
 }
 
-/// Serves the master behind `pipes` until it dismisses the worker. Dropping the future ends the worker.
-pub async fn serve(pipes: WorkerPipes, config: WorkerConfig) -> Result<(), WorkerError> {
-    serve_until(pipes, config, pending()).await
+impl WorkerError {
+    /// Whether the same worker may join again with nothing changed on its side.
+    pub fn may_pass(&self) -> bool {
+        match self {
+            Self::Join(error) => error.may_pass(),
+            Self::Refused(refusal) => refusal.may_pass(),
+            Self::Lost(_) => true,
+            Self::Aborted { code, .. } => matches!(code, AbortCode::Timeout | AbortCode::Busy),
+            Self::Ticket(_) | Self::Threads(_) => false,
+        }
+    }
 }
 
-/// [`serve`], until `stop` is ready: then the worker leaves, and its unfinished tiles go to others.
+/// Serves the master behind `pipes` until it dismisses the worker. Dropping the future ends the worker.
+pub async fn serve(pipes: WorkerPipes, config: WorkerConfig) -> Result<(), WorkerError> {
+    serve_until(pipes, config, Token::default(), pending()).await
+}
+
+/// [`serve`], showing `token`, until `stop` is ready: then the worker leaves, and its unfinished tiles go to others.
 pub(crate) async fn serve_until(
     pipes: WorkerPipes,
     config: WorkerConfig,
+    token: Token,
     stop: impl Future<Output = ()>,
 ) -> Result<(), WorkerError> {
     let begun = Instant::now();
     let memory = config.memory.or_else(free_memory);
     let hello = Hello {
         versions: Version::supported_numbers(),
+        token,
         name: config.name,
-        memory: memory.unwrap_or(0),
-        threads: config.threads.max(1),
-        backend: cpu::NAME.into(),
-        numeric_class: NUMERIC_CLASS.into(),
+        role: Role::Worker(Abilities {
+            memory: memory.unwrap_or(0),
+            threads: config.threads.max(1),
+            backend: cpu::NAME.into(),
+            numeric_class: NUMERIC_CLASS.into(),
+        }),
     };
     let mut driver = Driver::start(pipes, config.threads.max(1), config.cache)?;
     let mut session = Session::start(hello, memory, begun.elapsed());

@@ -410,18 +410,21 @@ impl Batch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tessera_wire::{Camera, Features, PixelFormat, WorkerId};
+    use tessera_wire::{Abilities, Camera, Features, PixelFormat, Role, Token, WorkerId};
 
     const PACK: PackId = PackId([7; 32]);
 
     fn hello() -> Hello {
         Hello {
             versions: Version::supported_numbers(),
+            token: Token::default(),
             name: "w".into(),
-            memory: 0,
-            threads: 1,
-            backend: "cpu".into(),
-            numeric_class: "cpu-1".into(),
+            role: Role::Worker(Abilities {
+                memory: 0,
+                threads: 1,
+                backend: "cpu".into(),
+                numeric_class: "cpu-1".into(),
+            }),
         }
     }
 
@@ -454,7 +457,7 @@ mod tests {
     fn joined(memory: Option<u64>) -> Session {
         let mut s = Session::start(hello(), memory, Duration::ZERO);
         assert_eq!(actions(&mut s), [Action::Send(ToMaster::Hello(hello()))]);
-        s.message(ToWorker::Welcome { version: 1, worker: WorkerId(0) });
+        s.message(ToWorker::Welcome { version: 2, worker: WorkerId(0) });
         assert_eq!((actions(&mut s), s.deadline()), (vec![], None));
         s
     }
@@ -624,8 +627,9 @@ mod tests {
         let welcome = |version| ToWorker::Welcome { version, worker: WorkerId(0) };
         let new = || Session::start(hello(), None, Duration::ZERO);
         check(new(), std::slice::from_ref(&end), AbortCode::Unexpected);
+        check(new(), &[welcome(1)], AbortCode::Unexpected);
         check(new(), &[welcome(9)], AbortCode::Unexpected);
-        check(joined(None), &[welcome(1)], AbortCode::Unexpected);
+        check(joined(None), &[welcome(2)], AbortCode::Unexpected);
         let refusal = Refusal::NumericClass { expected: "gpu-1".into() };
         check(joined(None), &[ToWorker::Refuse(refusal)], AbortCode::Unexpected);
         check(joined(None), std::slice::from_ref(&first), AbortCode::BadFrame);

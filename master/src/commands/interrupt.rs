@@ -1,4 +1,4 @@
-//! Ctrl-C, for a whole command.
+//! Ctrl-C, for a whole command; signals, for a service.
 
 use super::progress::Progress;
 use super::{CommandError, one_line};
@@ -25,6 +25,31 @@ pub fn listen(progress: &Progress) -> Result<(), CommandError> {
     };
     std::thread::Builder::new().name("interrupt".into()).spawn(wait).map_err(failed)?;
     Ok(())
+}
+
+/// Ready, with its name, when the process is asked to end by SIGINT or SIGTERM; from this call on they do nothing else. For commands
+/// that serve until then.
+pub fn asked_to_stop() -> impl Future<Output = &'static str> {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        let (interrupt, terminate) = (signal(SignalKind::interrupt()), signal(SignalKind::terminate()));
+        async {
+            let (Ok(mut interrupt), Ok(mut terminate)) = (interrupt, terminate) else {
+                tracing::warn!("signals are not heard");
+                return std::future::pending().await;
+            };
+            tokio::select! {
+                _ = interrupt.recv() => "SIGINT",
+                _ = terminate.recv() => "SIGTERM",
+            }
+        }
+    }
+    #[cfg(not(unix))]
+    async {
+        let _ = tokio::signal::ctrl_c().await;
+        "Ctrl-C"
+    }
 }
 
 fn end(progress: &Progress) -> ! {

@@ -8,6 +8,8 @@ mod error;
 mod info;
 mod info_text;
 mod interrupt;
+mod join;
+mod master;
 mod pack;
 mod progress;
 mod render;
@@ -92,9 +94,21 @@ pub enum Command {
     /// Measure rays and trees, beside obvhs in the same run
     #[command(subcommand)]
     Bench(bench::BenchCommand),
-    /// Serve one local master; started by the master itself
-    #[command(hide = true)]
-    Worker,
+    /// Wait for workers from anywhere, and render for clients
+    Master(master::MasterArgs),
+    /// Join a master and render for it
+    Worker(worker::WorkerArgs),
+}
+
+impl Command {
+    /// Whether it runs until it is told to end, and says meanwhile what happens.
+    pub fn is_service(&self) -> bool {
+        match self {
+            Self::Master(_) => true,
+            Self::Worker(args) => !args.ticket,
+            Self::Demo(_) | Self::Render(_) | Self::Scene(_) | Self::Compare(_) | Self::Bench(_) => false,
+        }
+    }
 }
 
 /// What to do with a scene.
@@ -145,8 +159,8 @@ impl Cli {
     /// Does what was asked.
     pub fn run(self) -> Result<(), CommandError> {
         let progress = progress::Progress::new(self.log);
-        // A worker ends with its master, who hears of Ctrl-C itself.
-        if !matches!(self.command, Command::Worker) {
+        // A local worker ends with its master, who hears of Ctrl-C itself; services listen for more than that.
+        if !matches!(self.command, Command::Worker(_) | Command::Master(_)) {
             interrupt::listen(&progress)?;
         }
         match self.command {
@@ -156,7 +170,8 @@ impl Cli {
             Command::Scene(SceneCommand::Pack(args)) => pack::run(args, &progress),
             Command::Compare(args) => compare::run(args),
             Command::Bench(command) => bench::run(command, &progress),
-            Command::Worker => worker::run(),
+            Command::Master(args) => master::run(args),
+            Command::Worker(args) => worker::run(args),
         }
     }
 }

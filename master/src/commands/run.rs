@@ -2,7 +2,6 @@
 
 use super::progress::Progress;
 use super::{CommandError, LogArgs, PackingArgs, args};
-use std::iter;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tessera_master::prepare::{PrepareOptions, Prepared, prepare};
@@ -95,10 +94,7 @@ pub fn render_frame(
     crew: Crew,
     progress: &Progress,
 ) -> Result<Rendered, CommandError> {
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .enable_all()
-        .build()
-        .map_err(|e| CommandError::Failed(format!("cannot start the network threads: {e}")))?;
+    let runtime = runtime()?;
     let result = runtime.block_on(frame(pack, job, crew, progress));
     // An in-process worker may still be in the middle of a tile that nobody waits for.
     runtime.shutdown_background();
@@ -142,6 +138,9 @@ fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
         tessera_master::Progress::PackRejected { name, reason } => {
             tracing::warn!("{name} cannot hold the scene: {reason}; the others render it");
         }
+        tessera_master::Progress::WorkerJoined { name, peer } => {
+            tracing::debug!("{name} has joined from {peer}");
+        }
         tessera_master::Progress::WorkerLost { name, reason } => {
             tracing::warn!("{name} is lost: {reason}; the others go on");
         }
@@ -156,7 +155,7 @@ fn workers(crew: Crew, log: &LogArgs) -> Result<Workers, CommandError> {
         .map_err(|e| CommandError::Failed(format!("cannot find this program to start workers with: {e}")))?;
     Ok(Workers::Local(LocalWorkers {
         program,
-        args: iter::once("worker".into()).chain(log.to_args()).collect(),
+        args: ["worker", "--ticket"].map(Into::into).into_iter().chain(log.to_args()).collect(),
         count: crew.workers,
         threads: crew.threads,
     }))
@@ -174,6 +173,14 @@ fn worker_here(threads: u32) -> Link {
         }
     });
     link
+}
+
+/// What carries sockets and timers.
+pub fn runtime() -> Result<tokio::runtime::Runtime, CommandError> {
+    tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .map_err(|e| CommandError::Failed(format!("cannot start the network threads: {e}")))
 }
 
 /// Threads that run at the same time here.

@@ -3,7 +3,7 @@
 //! A length is checked against the caller's limit before anything is reserved, bincode counts what it would
 //! reserve for lists and texts against the same limit, and bytes left over after a message are an error.
 
-use crate::{BatchHeader, LocalTicket, PackChunk, ToMaster, ToWorker, limits};
+use crate::{BatchHeader, Hello, LocalTicket, PackChunk, Refusal, ToMaster, ToWorker, Version, limits};
 use bincode::{Decode, Encode, config};
 
 /// Bytes before each encoded message.
@@ -12,7 +12,7 @@ pub const PREFIX_BYTES: usize = 4;
 /// TLS protocol name: versions are negotiated in `Hello`, this only tells Tessera from anything else.
 pub const ALPN: &[u8] = b"tessera";
 
-/// The name in the master's certificate; peers are known by the authority that signed, not by a host's name.
+/// The name in every certificate; peers are known by their certificates' fingerprints, not by a host's name.
 pub const SERVER_NAME: &str = "tessera-master";
 
 /// First bytes on a bulk pipe over QUIC, where a stream exists for the peer only once something was written
@@ -82,6 +82,33 @@ const _: () =
 pub fn body_length(prefix: [u8; PREFIX_BYTES], limit: usize) -> Result<usize, CodecError> {
     let length = u32::from_le_bytes(prefix) as usize;
     if length > limit { Err(CodecError::TooLong { length, limit }) } else { Ok(length) }
+}
+
+/// The `Hello` in `body`, a peer's first frame without its prefix, or why the peer is refused. Reads the frozen beginning first: a peer
+/// of another version is told so, whatever else its `Hello` holds. What a later version adds at the end is skipped.
+pub fn decode_hello(body: &[u8]) -> Result<Hello, Refusal> {
+    let malformed = |detail: String| Refusal::Malformed { detail };
+    let config = config::standard().with_limit::<{ limits::HELLO_BYTES }>();
+    if body.len() > limits::HELLO_BYTES {
+        return Err(malformed(
+            CodecError::TooLong { length: body.len(), limit: limits::HELLO_BYTES }.to_string(),
+        ));
+    }
+    let (variant, used): (u32, _) =
+        bincode::decode_from_slice(body, config).map_err(|e| malformed(e.to_string()))?;
+    if variant != 0 {
+        return Err(malformed("the first message is not `Hello`".into()));
+    }
+    let body = &body[used..];
+    let (versions, _): (Vec<u16>, _) =
+        bincode::decode_from_slice(body, config).map_err(|e| malformed(e.to_string()))?;
+    if versions.len() <= limits::VERSIONS && Version::common(&versions).is_none() {
+        return Err(Refusal::Version { supported: Version::supported_numbers() });
+    }
+    let (hello, _): (Hello, _) =
+        bincode::decode_from_slice(body, config).map_err(|e| malformed(e.to_string()))?;
+    hello.check().map_err(malformed)?;
+    Ok(hello)
 }
 
 /// The message in `body`, a frame without its prefix.

@@ -1,13 +1,15 @@
-//! Reasons: why a worker is refused, why it refuses a pack, why a connection is cut.
+//! Reasons: why a peer is refused, why it refuses a pack, why a connection is cut.
 
 use crate::{PackId, limits};
 use bincode::{Decode, Encode};
 
-/// Why the master does not take a worker. Sent in `Refuse`; the worker should not try again unchanged.
+/// Why the master does not take a peer. Sent in `Refuse`; what it says is for the peer's side.
 #[derive(Clone, Debug, PartialEq, Eq, Encode, Decode, thiserror::Error)]
 pub enum Refusal {
-    /// No common protocol version.
-    #[error("no common protocol version: the master speaks {supported:?}")]
+    /// No common protocol version. The number and layout of this reason are frozen.
+    #[error(
+        "no common protocol version: the master speaks {supported:?}; use the same version of tessera on both sides"
+    )]
     Version {
         /// What the master speaks.
         supported: Vec<u16>,
@@ -18,12 +20,36 @@ pub enum Refusal {
         /// The class of the cluster.
         expected: String,
     },
-    /// A number or a text in `Hello` is out of range.
+    /// The first message does not decode, or something in it is out of range.
     #[error("malformed hello: {detail}")]
     Malformed {
         /// What is wrong.
         detail: String,
     },
+    /// The token is none that the master gave.
+    #[error("wrong token: use the join string that this master has printed since it was started last")]
+    Token,
+    /// The token was right once.
+    #[error(
+        "the join string has expired: start the master again for a new one, or with a longer --token-ttl"
+    )]
+    Expired,
+    /// The master takes no peers of this role.
+    #[error("this master takes workers only")]
+    Role,
+    /// The master has as many peers of this role as it takes. The only reason that passes.
+    #[error("the master is full: it takes {limit} of this kind at a time; try again later")]
+    Full {
+        /// How many it takes.
+        limit: u32,
+    },
+}
+
+impl Refusal {
+    /// Whether the same peer may be taken later, without anything being changed on its side.
+    pub fn may_pass(&self) -> bool {
+        matches!(self, Self::Full { .. })
+    }
 }
 
 /// Why a worker cannot hold a pack.
@@ -86,6 +112,12 @@ pub enum AbortCode {
     /// 7: the sender has failed in itself (its message says how).
     #[error("internal failure")]
     Internal = 7,
+    /// 8: too many connections are being made; another attempt may succeed.
+    #[error("too many connections are being made")]
+    Busy = 8,
+    /// 9: the same peer, known by its certificate, has connected again; this connection is the old one.
+    #[error("replaced by a later connection of the same peer")]
+    Replaced = 9,
 }
 
 impl AbortCode {

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-/// Encoded bytes of the first message of a worker. It carries a name and a handful of numbers; nobody is
-/// trusted with more before `Welcome`.
+/// Encoded bytes of the first message of a peer, and decoded bytes of its lists and texts. It carries a name and a handful of numbers;
+/// nobody is trusted with more before `Welcome`.
 pub const HELLO_BYTES: usize = 4 << 10;
 
 /// Encoded bytes of any other control message, and decoded bytes of its lists. The largest is an `Assign` of
@@ -67,6 +67,22 @@ pub const STREAM_WINDOW_BYTES: u32 = 8 << 20;
 
 /// Unread bytes that all streams of a connection may have under way, in each direction.
 pub const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
+
+/// The same for a peer that has not shown a valid token yet: its `Hello`, and the first bytes of its bulk pipe.
+pub const STRANGER_WINDOW_BYTES: u32 = 16 << 10;
+
+/// Connections in the making, from the first packet to `Hello`, that a master has at a time. When one more comes, the oldest goes: an
+/// honest joiner needs two round trips, so that only who is silent becomes old.
+pub const STRANGERS: usize = 64;
+
+/// From so many on, who comes must first show that its address is its own (QUIC's `Retry`), which costs the master no memory.
+pub const STRANGERS_UNPROVEN: usize = 8;
+
+/// First packets that wait for the master to look at them; more are refused.
+pub const INCOMING: usize = 64;
+
+/// Workers that a master takes, all of them in each frame's report.
+pub const WORKERS: usize = 1024;
 
 /// Wanted kernel buffers of a UDP socket: 32 ms at 1 Gbit/s, so that a busy receiver does not lose packets.
 pub const SOCKET_BUFFER_BYTES: usize = 4 << 20;

@@ -1,15 +1,38 @@
 //! Control messages.
 
-use crate::{AbortCode, Attempt, Frame, FrameId, PackId, PackRefusal, Refusal, TileId, WorkerId, limits};
+use crate::{
+    AbortCode, Attempt, Frame, FrameId, PackId, PackRefusal, Refusal, TileId, Token, WorkerId, limits,
+};
 use bincode::{Decode, Encode};
 
-/// A worker introduces itself: the first message on a connection. Its layout is frozen.
+/// A peer introduces itself: the first message on a connection.
+///
+/// That it is variant 0 of its enum and begins with the list of versions is frozen: the master reads that much of every peer's, and
+/// parts from those of other versions with a reason. A later version may add fields behind the last one; an earlier one skips them.
 #[derive(Clone, Debug, PartialEq, Eq, Encode, Decode)]
 pub struct Hello {
-    /// Protocol versions that the worker speaks, at most [`limits::VERSIONS`].
+    /// Protocol versions that the peer speaks, at most [`limits::VERSIONS`].
     pub versions: Vec<u16>,
+    /// What lets it in, see [`crate::JoinString`].
+    pub token: Token,
     /// For people: 1..=[`limits::TEXT_BYTES`] bytes without control characters.
     pub name: String,
+    /// What it has come for.
+    pub role: Role,
+}
+
+/// What a peer has come for.
+#[derive(Clone, Debug, PartialEq, Eq, Encode, Decode)]
+pub enum Role {
+    /// To render: [`ToMaster`] and [`ToWorker`] follow.
+    Worker(Abilities),
+    /// To have frames rendered.
+    Client,
+}
+
+/// What a worker says of itself.
+#[derive(Clone, Debug, PartialEq, Eq, Encode, Decode)]
+pub struct Abilities {
     /// Bytes that the worker may use for a pack; 0 when it does not know.
     pub memory: u64,
     /// Threads that render.
@@ -21,7 +44,7 @@ pub struct Hello {
 }
 
 impl Hello {
-    /// Checks lengths and characters; a worker's name ends up in logs and on terminals.
+    /// Checks lengths and characters; a peer's name ends up in logs and on terminals.
     pub fn check(&self) -> Result<(), String> {
         if self.versions.len() > limits::VERSIONS {
             return Err(format!(
@@ -30,25 +53,30 @@ impl Hello {
                 limits::VERSIONS
             ));
         }
-        for (what, text) in
-            [("name", &self.name), ("backend", &self.backend), ("numeric class", &self.numeric_class)]
-        {
-            if text.is_empty() || text.len() > limits::TEXT_BYTES || text.chars().any(char::is_control) {
-                let most = limits::TEXT_BYTES;
-                return Err(format!("{what} must have 1 to {most} bytes and no control characters"));
+        check_text("name", &self.name)?;
+        if let Role::Worker(abilities) = &self.role {
+            check_text("backend", &abilities.backend)?;
+            check_text("numeric class", &abilities.numeric_class)?;
+            if abilities.threads == 0 {
+                return Err("0 threads".into());
             }
-        }
-        if self.threads == 0 {
-            return Err("0 threads".into());
         }
         Ok(())
     }
 }
 
+fn check_text(what: &str, text: &str) -> Result<(), String> {
+    if text.is_empty() || text.len() > limits::TEXT_BYTES || text.chars().any(char::is_control) {
+        let most = limits::TEXT_BYTES;
+        return Err(format!("{what} must have 1 to {most} bytes and no control characters"));
+    }
+    Ok(())
+}
+
 /// Worker to master.
 #[derive(Clone, Debug, PartialEq, Encode, Decode)]
 pub enum ToMaster {
-    /// First message; answered by `Welcome` or `Refuse`.
+    /// First message; answered by `Welcome` or `Refuse`. Its number is frozen.
     Hello(Hello),
     /// Answer to `PackOffer`: whether the worker holds the pack already or wants its bytes.
     PackNeed {
@@ -98,7 +126,7 @@ pub enum ToWorker {
         /// The worker's number in this session.
         worker: WorkerId,
     },
-    /// The worker has not joined; the connection ends. Its layout is frozen.
+    /// The worker has not joined; the connection ends. Its number and its first variant are frozen.
     Refuse(Refusal),
     /// A pack that frames will ask for. Answered by `PackNeed`, `PackRejected`.
     PackOffer {

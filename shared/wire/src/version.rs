@@ -2,18 +2,21 @@
 
 /// A version of the protocol. Every change of a message, a limit or a meaning adds a variant with its line.
 ///
-/// The layouts of `Hello` and `Refuse` are frozen: peers of any two versions can read them, so that disjoint
+/// The beginning of `Hello` and the reason `Refuse(Version)` are frozen: peers of any two versions can read them, so that disjoint
 /// peers part with a reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u16)]
 pub enum Version {
     /// Handshake, one pack by hash, frames of tiles in four balancings, batches of raw pixels.
     V1 = 1,
+    /// `Hello` has a token and a role; certificates are pinned by fingerprint; reasons and close codes for joining. Not mixed with 1,
+    /// whose peers knew each other by an authority that lived in one process.
+    V2 = 2,
 }
 
 impl Version {
     /// All versions that this build speaks, newest first.
-    pub const SUPPORTED: &'static [Self] = &[Self::V1];
+    pub const SUPPORTED: &'static [Self] = &[Self::V2];
 
     /// The number on the wire.
     pub const fn number(self) -> u16 {
@@ -42,11 +45,12 @@ mod tests {
 
     #[test]
     fn an_older_a_newer_and_a_disjoint_peer() {
-        assert_eq!(Version::common(&[1]), Some(Version::V1));
-        assert_eq!(Version::common(&[7, 3, 1]), Some(Version::V1));
-        assert_eq!(Version::common(&[2, 3]), None);
+        assert_eq!(Version::common(&[2]), Some(Version::V2));
+        assert_eq!(Version::common(&[7, 3, 2, 1]), Some(Version::V2), "a newer one that still speaks ours");
+        assert_eq!(Version::common(&[1]), None, "an older one");
+        assert_eq!(Version::common(&[3, 4]), None, "a newer one");
         assert_eq!(Version::common(&[]), None);
-        assert_eq!(Version::from_number(1), Some(Version::V1));
-        assert_eq!(Version::from_number(0), None);
+        assert_eq!(Version::from_number(2), Some(Version::V2));
+        assert_eq!((Version::from_number(0), Version::from_number(1)), (None, None));
     }
 }

@@ -1,10 +1,11 @@
-//! The bytes of every message in version 1. A change here is a change of the protocol: add a `Version`, keep
-//! the old lines.
+//! The bytes of every message in version 2. A change here is a change of the protocol: add a `Version`, keep
+//! the old lines of versions that are still spoken.
 
 mod samples;
 
 use std::fmt::Write;
 use tessera_wire::codec::{self, Message};
+use tessera_wire::{Hello, Refusal, ToMaster, ToWorker, Version, limits};
 
 #[test]
 fn every_message_keeps_its_bytes() {
@@ -18,7 +19,7 @@ fn every_message_keeps_its_bytes() {
     line(&mut text, "bulk, pack chunk", &samples::chunk());
     line(&mut text, "bulk, batch", &samples::batch());
     line(&mut text, "stdin, ticket", &samples::ticket());
-    let golden = include_str!("golden_v1.txt");
+    let golden = include_str!("golden_v2.txt");
     for (now, then) in text.lines().zip(golden.lines()) {
         assert_eq!(now, then);
     }
@@ -36,4 +37,62 @@ fn line<M: Message + PartialEq + std::fmt::Debug>(text: &mut String, name: &str,
     write!(text, "{name}: ").expect("a string takes it");
     frame.iter().for_each(|byte| write!(text, "{byte:02x}").expect("a string takes it"));
     text.push('\n');
+}
+
+/// What a worker of version 1 says first: versions [1], name `w0`, and fields that came before the token.
+const HELLO_V1: &str = "000101027730fd00000000020000000803637075056370752d31";
+
+fn bytes(hexadecimal: &str) -> Vec<u8> {
+    let pairs = hexadecimal.as_bytes().chunks(2).map(|pair| std::str::from_utf8(pair).expect("ASCII"));
+    pairs.map(|pair| u8::from_str_radix(pair, 16).expect("hexadecimal")).collect()
+}
+
+fn hello(versions: &[u16]) -> Hello {
+    match samples::to_master().swap_remove(0) {
+        (_, ToMaster::Hello(hello)) => Hello { versions: versions.to_vec(), ..hello },
+        other => panic!("{other:?}"),
+    }
+}
+
+fn body(message: &impl Message) -> Vec<u8> {
+    codec::encode(message).expect("within its limit").split_off(codec::PREFIX_BYTES)
+}
+
+#[test]
+fn peers_of_other_versions_part_with_a_reason() {
+    let refused = Refusal::Version { supported: Version::supported_numbers() };
+    assert_eq!(codec::decode_hello(&bytes(HELLO_V1)), Err(refused.clone()), "an older one");
+    let own = hello(&[2]);
+    assert_eq!(codec::decode_hello(&body(&ToMaster::Hello(own.clone()))), Ok(own));
+    let both = hello(&[3, 2]);
+    let mut newer = body(&ToMaster::Hello(both.clone()));
+    newer.extend(b"a field of version 3");
+    assert_eq!(codec::decode_hello(&newer), Ok(both), "a newer one that speaks ours");
+    let mut disjoint = body(&ToMaster::Hello(hello(&[3])));
+    // Nothing behind the list is read.
+    disjoint.truncate(4);
+    assert_eq!(codec::decode_hello(&disjoint), Err(refused.clone()), "a newer one that does not");
+    // What they are told reads the same in every version.
+    assert_eq!(body(&ToWorker::Refuse(Refusal::Version { supported: vec![1] })), [1, 0, 1, 1]);
+}
+
+#[test]
+fn what_is_no_hello_is_refused_with_a_reason() {
+    let malformed = |body: &[u8]| match codec::decode_hello(body) {
+        Err(Refusal::Malformed { detail }) => detail,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(malformed(&body(&ToMaster::Leave)), "the first message is not `Hello`");
+    malformed(&[]);
+    malformed(&[0xff; 40]);
+    assert_eq!(malformed(&[0; 5000]), "a message of 5000 bytes: at most 4096 are allowed here");
+    let own = body(&ToMaster::Hello(hello(&[2])));
+    for end in 0..own.len() {
+        malformed(&own[..end]);
+    }
+    let mut wild = hello(&[2]);
+    wild.name = "\x1b[2J".into();
+    assert!(malformed(&body(&ToMaster::Hello(wild))).starts_with("name must have"));
+    let many = hello(&[2; limits::VERSIONS + 1]);
+    assert_eq!(malformed(&body(&ToMaster::Hello(many))), "17 versions, at most 16 are allowed");
 }

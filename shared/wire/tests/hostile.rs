@@ -41,6 +41,9 @@ fn decode_checked<M: Message>(body: &[u8]) -> Result<M, CodecError> {
 }
 
 fn decode_as_everything(body: &[u8]) {
+    LARGEST.set(0);
+    let _ = codec::decode_hello(body);
+    assert!(LARGEST.get() <= limits::HELLO_BYTES, "{} bytes for a `Hello`", LARGEST.get());
     let _ = decode_checked::<ToMaster>(body);
     let _ = decode_checked::<ToWorker>(body);
     let _ = decode_checked::<PackChunk>(body);
@@ -169,15 +172,20 @@ fn the_largest_honest_messages_fit() {
     let frame = codec::encode(&batch).unwrap();
     assert_eq!(decode_checked::<BatchHeader>(&frame[codec::PREFIX_BYTES..]), Ok(batch));
 
-    let hello = ToMaster::Hello(Hello {
-        versions: vec![u16::MAX; limits::VERSIONS],
-        name: "n".repeat(limits::TEXT_BYTES),
-        memory: u64::MAX,
-        threads: u32::MAX,
-        backend: "b".repeat(limits::TEXT_BYTES),
-        numeric_class: "c".repeat(limits::TEXT_BYTES),
-    });
-    assert!(codec::encode(&hello).unwrap().len() - codec::PREFIX_BYTES <= limits::HELLO_BYTES);
+    let text = |letter: &str| letter.repeat(limits::TEXT_BYTES);
+    let hello = Hello {
+        versions: vec![u16::MAX - 1, 2].into_iter().cycle().take(limits::VERSIONS).collect(),
+        token: Token([0xFF; 16]),
+        name: text("n"),
+        role: Role::Worker(Abilities {
+            memory: u64::MAX,
+            threads: u32::MAX,
+            backend: text("b"),
+            numeric_class: text("c"),
+        }),
+    };
+    let frame = codec::encode(&ToMaster::Hello(hello.clone())).unwrap();
+    assert_eq!(codec::decode_hello(&frame[codec::PREFIX_BYTES..]), Ok(hello));
     let chunk = PackChunk { pack: samples::PACK, offset: u64::MAX, length: u32::MAX };
     assert!(codec::encode(&chunk).is_ok());
 }

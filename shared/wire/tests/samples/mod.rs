@@ -29,18 +29,14 @@ pub fn frame() -> Frame {
 pub fn to_master() -> Vec<(&'static str, ToMaster)> {
     let detail = || "d".to_string();
     let rejected = |reason| ToMaster::PackRejected { pack: PACK, reason };
+    let hello = |role| {
+        ToMaster::Hello(Hello { versions: vec![2], token: Token([0x5C; 16]), name: "w0".into(), role })
+    };
+    let abilities =
+        Abilities { memory: 1 << 33, threads: 8, backend: "cpu".into(), numeric_class: "cpu-1".into() };
     vec![
-        (
-            "hello",
-            ToMaster::Hello(Hello {
-                versions: vec![1],
-                name: "w0".into(),
-                memory: 1 << 33,
-                threads: 8,
-                backend: "cpu".into(),
-                numeric_class: "cpu-1".into(),
-            }),
-        ),
+        ("hello", hello(Role::Worker(abilities))),
+        ("hello: client", hello(Role::Client)),
         ("pack need", ToMaster::PackNeed { pack: PACK, have: false }),
         ("pack ready", ToMaster::PackReady { pack: PACK }),
         ("rejected: memory", rejected(PackRefusal::OutOfMemory { needs: 1000, has: 100 })),
@@ -57,10 +53,14 @@ pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
     let abort = |code| ToWorker::Abort { code, detail: String::new() };
     let tiles = vec![TileId(0), TileId(250), TileId(251), TileId(65_535)];
     vec![
-        ("welcome", ToWorker::Welcome { version: 1, worker: WorkerId(3) }),
-        ("refuse: version", ToWorker::Refuse(Refusal::Version { supported: vec![1] })),
+        ("welcome", ToWorker::Welcome { version: 2, worker: WorkerId(3) }),
+        ("refuse: version", ToWorker::Refuse(Refusal::Version { supported: vec![2] })),
         ("refuse: class", ToWorker::Refuse(Refusal::NumericClass { expected: "cpu-1".into() })),
         ("refuse: malformed", ToWorker::Refuse(Refusal::Malformed { detail: "d".into() })),
+        ("refuse: token", ToWorker::Refuse(Refusal::Token)),
+        ("refuse: expired", ToWorker::Refuse(Refusal::Expired)),
+        ("refuse: role", ToWorker::Refuse(Refusal::Role)),
+        ("refuse: full", ToWorker::Refuse(Refusal::Full { limit: 256 })),
         ("pack offer", ToWorker::PackOffer { pack: PACK, length: 5_000_000_000 }),
         ("frame", ToWorker::Frame(frame())),
         ("frame: at end", ToWorker::Frame(Frame { returns: ReturnMode::AtEnd, ..frame() })),
@@ -75,6 +75,8 @@ pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
         ("abort: timeout", abort(AbortCode::Timeout)),
         ("abort: refused", abort(AbortCode::Refused)),
         ("abort: internal", abort(AbortCode::Internal)),
+        ("abort: busy", abort(AbortCode::Busy)),
+        ("abort: replaced", abort(AbortCode::Replaced)),
     ]
 }
 
@@ -95,13 +97,11 @@ pub fn batch() -> BatchHeader {
 }
 
 pub fn ticket() -> LocalTicket {
-    LocalTicket {
-        address: "127.0.0.1:4433".into(),
-        name: "local-0".into(),
-        threads: 2,
-        sharers: 3,
-        authority: vec![1, 2],
-        certificate: vec![3],
-        key: vec![4, 5, 6],
-    }
+    let join = JoinString {
+        host: "127.0.0.1".into(),
+        port: 4433,
+        fingerprint: Fingerprint([0xEF; 32]),
+        token: Token([0x5C; 16]),
+    };
+    LocalTicket { join, name: "local-0".into(), threads: 2, sharers: 3 }
 }

@@ -1,0 +1,77 @@
+//! Joining a master by its join string.
+
+use crate::{WorkerConfig, WorkerError, net::connect, serve::serve_until};
+use tessera_trust::Identity;
+use tessera_wire::JoinString;
+
+/// Why there is no connection to a master.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum JoinError {
+    /// The host's name has no address now.
+    #[error("cannot find the master's host `{host}`: {reason}")]
+    Unknown {
+        /// The name.
+        host: String,
+        /// What the system says.
+        reason: String,
+    },
+    /// Nobody answers, or the connection broke at once.
+    #[error("no master at {address}: {reason}; is it running, and does the network let UDP through?")]
+    Unreachable {
+        /// Where.
+        address: String,
+        /// Why.
+        reason: String,
+    },
+    /// The master is busy with other joiners.
+    #[error("the master at {address} is busy with other joiners; try again")]
+    Busy {
+        /// Where.
+        address: String,
+    },
+    /// Its certificate is another than the join string names.
+    #[error(
+        "the master at {address} is not the one that the join string is of: if it was started again, use the join string that it has \
+         printed since"
+    )]
+    OtherMaster {
+        /// Where.
+        address: String,
+    },
+    /// It speaks another protocol.
+    #[error("what answers at {address} is no tessera master; check the address in the join string")]
+    NotTessera {
+        /// Where.
+        address: String,
+    },
+    /// This side cannot open a socket, or set up encryption.
+    #[error("cannot connect: {0}")]
+    Setup(String),
+}
+
+impl JoinError {
+    /// Whether another attempt may succeed with nothing changed on this side.
+    pub fn may_pass(&self) -> bool {
+        matches!(self, Self::Unknown { .. } | Self::Unreachable { .. } | Self::Busy { .. })
+    }
+}
+
+/// Joins the master of `join` as `own` and serves it until it dismisses the worker, or until `stop` is ready: then the worker leaves.
+///
+/// To the master a worker is its identity: who comes back with the same one takes the place of the connection before.
+pub async fn serve_master(
+    join: &JoinString,
+    own: &Identity,
+    config: WorkerConfig,
+    stop: impl Future<Output = ()>,
+) -> Result<(), WorkerError> {
+    tokio::pin!(stop);
+    let connection = tokio::select! {
+        connection = connect(join, own) => connection?,
+        () = &mut stop => return Ok(()),
+    };
+    tracing::info!("{} is connected to {}", config.name, join.address());
+    let served = serve_until(connection.pipes, config, join.token, stop).await;
+    connection.closer.close(matches!(served, Err(WorkerError::Aborted { .. }))).await;
+    served
+}
