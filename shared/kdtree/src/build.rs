@@ -34,6 +34,15 @@ pub struct BuildOptions {
     pub intersection_cost: f32,
     /// Factor on the cost of a plane that cuts off an empty cell, in (0, 1] (Wald and Havran 2006: 0.8).
     pub empty_factor: f32,
+    /// What a split must save a ray, >= 0: steps down the tree for all triangles of the split's surroundings together. One that
+    /// saves less is undone, because its nodes are not worth their bytes. 0 keeps every split that saves anything.
+    ///
+    /// The surroundings of a cell are the smallest cell around it with more than 128 triangles. A split of a cell with surface
+    /// area `SA` that lowers the cost by `G` saves a ray through surroundings with `SA_0` and `n_0` triangles `G SA / SA_0`; it
+    /// stays when that is more than `least_saving K_T / n_0`. Surroundings have about as many splits as triangles, so what is
+    /// undone costs a ray through them about `least_saving` steps at most, and a small object in a large scene keeps as
+    /// fine a tree as a large one.
+    pub least_saving: f32,
 }
 
 impl Default for BuildOptions {
@@ -45,6 +54,7 @@ impl Default for BuildOptions {
             traversal_cost: 15.0,
             intersection_cost: 20.0,
             empty_factor: 0.8,
+            least_saving: 1.0,
         }
     }
 }
@@ -88,7 +98,7 @@ pub struct Tree {
 /// Builds the tree over `triangle_count` triangles whose decoded vertices `vertices` returns. The result does not depend on the
 /// number of threads of the current rayon pool.
 ///
-/// O(N log N) time; at most about 600 bytes a triangle at the peak, the result included. A triangle with a vertex that is not
+/// O(N log N) time; about 250 bytes a triangle at the peak, the result included, more where planes cut most triangles. A triangle with a vertex that is not
 /// finite is listed nowhere: no ray hits it.
 pub fn build(
     triangle_count: u32,
@@ -114,7 +124,7 @@ pub fn build(
     };
     let mut output = Output::default();
     builder
-        .grow(set, cell, 0)
+        .grow(set, Place { cell, depth: 0, least_saving: 0.0 })
         .pack_into(&mut output, &builder.costs)
         .map_err(|emit::TooManySlots| BuildError::TooLarge { triangles: triangle_count })?;
     let Output { slots, list, .. } = output;
@@ -135,7 +145,7 @@ fn check(options: &BuildOptions) -> Result<(), BuildError> {
             return refuse(name, value, "in [0, 1]");
         }
     }
-    let &BuildOptions { traversal_cost, intersection_cost, empty_factor, .. } = options;
+    let &BuildOptions { traversal_cost, intersection_cost, empty_factor, least_saving, .. } = options;
     for (name, value) in [("traversal_cost", traversal_cost), ("intersection_cost", intersection_cost)] {
         if !(value > 0.0 && value.is_finite()) {
             return refuse(name, value, "finite and above 0");
@@ -143,6 +153,9 @@ fn check(options: &BuildOptions) -> Result<(), BuildError> {
     }
     if !(empty_factor > 0.0 && empty_factor <= 1.0) {
         return refuse("empty_factor", empty_factor, "in (0, 1]");
+    }
+    if !(least_saving >= 0.0 && least_saving.is_finite()) {
+        return refuse("least_saving", least_saving, "finite and not below 0");
     }
     Ok(())
 }
@@ -159,6 +172,10 @@ fn depth_limit(triangles: usize) -> u32 {
 /// choosing references takes a trial build of the cell.
 const PIECE_TRIANGLES: usize = 4096;
 
+/// See [`BuildOptions::least_saving`]: enough triangles that their splits can be weighed against each other, few enough that
+/// they are near each other.
+const SURROUNDINGS_TRIANGLES: usize = 128;
+
 /// What every step of one build needs.
 struct Builder<'a, V> {
     vertices: V,
@@ -169,63 +186,98 @@ struct Builder<'a, V> {
     margin: f64,
 }
 
+/// A cell on the way down the tree.
+#[derive(Clone, Copy)]
+struct Place {
+    cell: Cell,
+    depth: u32,
+    /// What a split of this cell must save, as surface area times cost; see [`BuildOptions::least_saving`].
+    least_saving: f64,
+}
+
+impl Place {
+    /// The places on the low and the high side of `plane`.
+    fn split(&self, plane: &Plane) -> [Self; 2] {
+        self.cell.split(plane).map(|cell| Self { cell, depth: self.depth + 1, ..*self })
+    }
+
+    /// What a split of this cell must save in cost of the cell itself.
+    fn least_gain(&self) -> f64 {
+        self.least_saving / self.cell.area()
+    }
+}
+
 /// An unfinished tree: inner nodes above packed pieces.
 enum Part {
     Piece(Output),
-    Inner { cell: Cell, plane: Plane, children: Box<[Part; 2]> },
+    Inner { place: Place, plane: Plane, children: Box<[Part; 2]> },
 }
 
 impl<V: Fn(u32) -> [Vec3; 3] + Sync> Builder<'_, V> {
     /// Splits large cells down to pieces. One cell is swept by one thread, axis after axis; what runs in parallel are the subtrees
     /// behind a split, so that the first few levels of a large scene keep few threads busy.
-    fn grow(&self, set: Set, cell: Cell, depth: u32) -> Part {
+    fn grow(&self, set: Set, place: Place) -> Part {
         let mut shop = Workshop::default();
+        let place = self.enter(place, set.len());
         if set.len() > PIECE_TRIANGLES
-            && let Some(plane) = self.best_plane(&set, &cell, depth)
+            && let Some(plane) = self.best_plane(&set, &place)
         {
-            let [left_cell, right_cell] = cell.split(&plane);
             let (mut left, mut right) = (Set::default(), Set::default());
-            set.split_into(self, &cell, &plane, [&mut left, &mut right], &mut shop);
+            set.split_into(self, &place.cell, &plane, [&mut left, &mut right], &mut shop);
             drop((set, shop));
-            let (left, right) = rayon::join(
-                || self.grow(left, left_cell, depth + 1),
-                || self.grow(right, right_cell, depth + 1),
-            );
-            return Part::Inner { cell, plane, children: Box::new([left, right]) };
+            let [low, high] = place.split(&plane);
+            let (left, right) = rayon::join(|| self.grow(left, low), || self.grow(right, high));
+            return Part::Inner { place, plane, children: Box::new([left, right]) };
         }
         let mut output = Output::default();
         if self.options.max_refs == 0 || set.len() > PIECE_TRIANGLES {
-            self.build_plain(set, &cell, depth, &mut output, &mut shop);
+            self.build_plain(set, place, &mut output, &mut shop);
         } else {
-            self.build_with_refs(set, &cell, depth, MAX_PATH_REFS, &mut output, &mut shop);
+            self.build_with_refs(set, place, MAX_PATH_REFS, &mut output, &mut shop);
         }
         output.shrink();
         Part::Piece(output)
     }
 
     /// Appends the subtree of `set` without references to `output`.
-    fn build_plain(&self, set: Set, cell: &Cell, depth: u32, output: &mut Output, shop: &mut Workshop) {
-        match self.best_plane(&set, cell, depth) {
+    fn build_plain(&self, set: Set, place: Place, output: &mut Output, shop: &mut Workshop) {
+        let place = self.enter(place, set.len());
+        match self.best_plane(&set, &place) {
             None => {
                 output.leaf(set.ids());
                 shop.give_back(set);
             }
             Some(plane) => {
-                let [left_cell, right_cell] = cell.split(&plane);
-                let [left, right] = self.split(&set, cell, &plane, shop);
+                let [left, right] = self.split(&set, &place.cell, &plane, shop);
                 shop.give_back(set);
+                let [low, high] = place.split(&plane);
                 let node = output.open_inner(&plane, &[]);
-                self.build_plain(left, &left_cell, depth + 1, output, shop);
+                self.build_plain(left, low, output, shop);
                 output.begin_right(node);
-                self.build_plain(right, &right_cell, depth + 1, output, shop);
-                output.close_inner(node, cell, &self.costs);
+                self.build_plain(right, high, output, shop);
+                output.close_inner(node, &place, &self.costs);
             }
         }
     }
 
-    /// The cheapest plane, or `None` where a leaf is not dearer or the depth is used up.
-    fn best_plane(&self, set: &Set, cell: &Cell, depth: u32) -> Option<Plane> {
-        if depth >= self.max_depth { None } else { set.best_plane(cell, &self.costs) }
+    /// `place`, found to hold `count` triangles: enough of them are the surroundings of the cells below.
+    fn enter(&self, place: Place, count: usize) -> Place {
+        if count <= SURROUNDINGS_TRIANGLES {
+            return place;
+        }
+        let steps = f64::from(self.options.least_saving) / count as f64;
+        Place { least_saving: steps * self.costs.traversal * place.cell.area(), ..place }
+    }
+
+    /// The cheapest plane, or `None` where a leaf is not dearer, no subtree could save enough or the depth is used up.
+    fn best_plane(&self, set: &Set, place: &Place) -> Option<Plane> {
+        // A subtree costs a step at least. Cells below are smaller and have no more triangles, so every split of them would be
+        // undone too: this spares work, and a trial for references does not count leaves that would not stay.
+        let leaf = self.costs.intersection * set.len() as f64;
+        if place.depth >= self.max_depth || leaf <= self.costs.traversal + place.least_gain() {
+            return None;
+        }
+        set.best_plane(&place.cell, &self.costs)
     }
 
     fn split(&self, set: &Set, cell: &Cell, plane: &Plane, shop: &mut Workshop) -> [Set; 2] {

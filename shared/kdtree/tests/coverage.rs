@@ -1,11 +1,12 @@
-//! The coverage invariant: whatever meets a leaf's cell is in that leaf or a reference on the path to it, and not both.
+//! What holds for every finished tree: whatever meets a leaf's cell is in that leaf or a reference on the path to it, and not
+//! both; and every split saves enough.
 
 mod common;
 
 use common::{Random, Soup, scenes};
 use std::collections::BTreeSet;
 use tessera_geometry::{Aabb, Vec3};
-use tessera_kdtree::{Tree, node::Node};
+use tessera_kdtree::{BuildOptions, Tree, node::Node};
 
 /// Calls `visit(cell, path references, leaf triangles)` for every leaf.
 fn leaves(tree: &Tree, mut visit: impl FnMut(&Aabb, &[u32], &[u32])) {
@@ -98,5 +99,73 @@ fn random_large_triangles_are_covered_too() {
     let soup = Soup((0..300).map(|_| [corner(), corner(), corner()]).collect());
     for max_refs in 0..=2 {
         check(&format!("large triangles, {max_refs} references"), &soup, &soup.build(max_refs));
+    }
+}
+
+fn area(cell: &Aabb) -> f64 {
+    let [x, y, z] = (cell.max.as_dvec3() - cell.min.as_dvec3()).to_array();
+    2.0 * (x * y + y * z + z * x)
+}
+
+/// A subtree without references, seen from its root.
+struct Seen {
+    triangles: BTreeSet<u32>,
+    is_leaf: bool,
+    /// Expected cost of a ray through the cell, and the cell's surface area.
+    cost: f64,
+    area: f64,
+    /// What the parent of two leaves must be shown to save: cells whose surroundings are not known yet, as
+    /// (surface area, cost that the split saves).
+    open: Vec<(f64, f64)>,
+}
+
+/// Walks the subtree at `slot` and asserts that what its splits save is more than the options demand.
+fn savings(tree: &Tree, slot: usize, cell: Aabb, options: &BuildOptions) -> Seen {
+    let (traversal, intersection) = (f64::from(options.traversal_cost), f64::from(options.intersection_cost));
+    let node = Node(tree.slots[slot]);
+    let area = area(&cell);
+    if node.is_leaf() {
+        let triangles = match node.count() {
+            0 => BTreeSet::new(),
+            1 => BTreeSet::from([node.payload()]),
+            n => tree.list[node.payload() as usize..][..n as usize].iter().copied().collect(),
+        };
+        let cost = intersection * triangles.len() as f64;
+        return Seen { triangles, is_leaf: true, cost, area, open: Vec::new() };
+    }
+    let (mut low, mut high) = (cell, cell);
+    low.max[node.axis()] = node.split();
+    high.min[node.axis()] = node.split();
+    let [low, high] = [(slot + 1, low), (node.right() as usize, high)]
+        .map(|(slot, cell)| savings(tree, slot, cell, options));
+    let cost = traversal + (low.cost * low.area + high.cost * high.area) / area;
+    let triangles: BTreeSet<u32> = low.triangles.union(&high.triangles).copied().collect();
+    let mut open = [low.open, high.open].concat();
+    if low.is_leaf && high.is_leaf {
+        open.push((area, intersection * triangles.len() as f64 - cost));
+    }
+    if triangles.len() > 128 {
+        let least = f64::from(options.least_saving) * traversal * area / triangles.len() as f64;
+        for (area, saved) in open.drain(..) {
+            assert!(saved * area > least * (1.0 - 1e-9), "{saved} over {area} saves less than {least}");
+        }
+    }
+    Seen { triangles, is_leaf: false, cost, area, open }
+}
+
+#[test]
+fn every_split_saves_what_the_options_demand_and_no_split_that_matters_is_undone() {
+    for (name, soup) in scenes() {
+        let mut bytes = Vec::new();
+        let mut costs = Vec::new();
+        for least_saving in [0.0, 0.25, 1.0] {
+            let options = BuildOptions { max_refs: 0, least_saving, ..BuildOptions::default() };
+            let tree = soup.build_with(&options);
+            costs.push(savings(&tree, 0, tree.bounds, &options).cost);
+            bytes.push(tree.stats().bytes);
+        }
+        assert!(bytes.is_sorted_by(|a, b| a > b), "{name}: {bytes:?}");
+        // A ray through some surroundings pays a step at most for all that was undone there, of the many steps it takes.
+        assert!(costs[2] <= costs[0] * 1.03, "{name}: {costs:?}");
     }
 }

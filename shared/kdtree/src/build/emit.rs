@@ -1,8 +1,7 @@
 //! Packing nodes, and undoing splits that turned out not to pay.
 
-use super::Part;
-use super::clip::Cell;
 use super::plane::{Costs, Plane};
+use super::{Part, Place};
 use crate::node::{MAX_SLOTS, Node, Slot, reference_slot};
 
 /// A packed (sub)tree under construction, depth first; indices count from its own start.
@@ -51,12 +50,13 @@ impl Output {
         self.slots[slot] = Node::inner(node.axis(), node.split(), node.refs(), right).0;
     }
 
-    /// Finishes the inner node at `slot`, which covers `cell`; makes it a leaf when both children are leaves and one leaf of
-    /// all their triangles costs no more: `K_I |union| <= K_T + K_I (|refs| + SA_L / SA |left| + SA_R / SA |right|)`.
+    /// Finishes the inner node at `slot`, which covers `place`; makes it a leaf when both children are leaves and one leaf of
+    /// all their triangles costs no more than what the split must save:
+    /// `K_I |union| <= K_T + K_I (|refs| + SA_L / SA |left| + SA_R / SA |right|) + least gain`.
     ///
     /// The split was chosen before its triangles were cut (some lie in one half only), with a bonus for empty halves, or before
-    /// further splits below were undone; so this saves bytes and cost.
-    pub fn close_inner(&mut self, slot: usize, cell: &Cell, costs: &Costs) {
+    /// further splits below were undone; so even without a least gain this saves bytes and cost.
+    pub fn close_inner(&mut self, slot: usize, place: &Place, costs: &Costs) {
         let node = Node(self.slots[slot]);
         let (left, right) = (slot + node.size() as usize, node.right() as usize);
         let [left, right] = [left, right].map(|child| Node(self.slots[child]));
@@ -64,10 +64,11 @@ impl Output {
             return;
         }
         let plane = Plane { axis: node.axis(), position: node.split(), flat_go_low: true };
+        let cell = &place.cell;
         let [low, high] = cell.split(&plane).map(|half| half.area() / cell.area());
         let tests = f64::from(node.refs()) + low * f64::from(left.count()) + high * f64::from(right.count());
 
-        let worth = costs.traversal + costs.intersection * tests;
+        let worth = costs.traversal + costs.intersection * tests + place.least_gain();
         // References are in neither child, so the union is at least this large.
         let least = node.refs() + left.count().max(right.count());
         if costs.intersection * f64::from(least) > worth {
@@ -132,7 +133,7 @@ impl Part {
     pub fn pack_into(self, output: &mut Output, costs: &Costs) -> Result<(), TooManySlots> {
         match self {
             Self::Piece(piece) => output.append(piece),
-            Self::Inner { cell, plane, children } => {
+            Self::Inner { place, plane, children } => {
                 let [left, right] = *children;
                 let node = output.open_inner(&plane, &[]);
                 left.pack_into(output, costs)?;
@@ -141,7 +142,7 @@ impl Part {
                 }
                 output.begin_right(node);
                 right.pack_into(output, costs)?;
-                output.close_inner(node, &cell, costs);
+                output.close_inner(node, &place, costs);
                 Ok(())
             }
         }
@@ -152,17 +153,23 @@ impl Part {
 mod tests {
     use super::*;
     use crate::build::BuildOptions;
-
-    const CUBE: Cell = Cell { min: [0.0; 3], max: [8.0; 3] };
+    use crate::build::clip::Cell;
 
     /// A node split in the middle with the given references and leaves.
     fn packed(refs: &[u32], left: &[u32], right: &[u32]) -> Output {
+        packed_if_it_saves(0.0, refs, left, right)
+    }
+
+    /// The same where a split must lower the cost of the node by more than `gain`.
+    fn packed_if_it_saves(gain: f64, refs: &[u32], left: &[u32], right: &[u32]) -> Output {
+        let cell = Cell { min: [0.0; 3], max: [8.0; 3] };
+        let place = Place { cell, depth: 0, least_saving: gain * cell.area() };
         let mut output = Output::default();
         let node = output.open_inner(&Plane { axis: 0, position: 4.0, flat_go_low: true }, refs);
         output.leaf(left);
         output.begin_right(node);
         output.leaf(right);
-        output.close_inner(node, &CUBE, &Costs::new(&BuildOptions::default()));
+        output.close_inner(node, &place, &Costs::new(&BuildOptions::default()));
         output
     }
 
@@ -181,6 +188,15 @@ mod tests {
         let output = packed(&[], &[1, 2, 3], &[4, 5, 6]);
         let slots = vec![Node::inner(0, 4.0, 0, 2).0, Node::leaf(3, 0).0, Node::leaf(3, 3).0];
         assert_eq!((output.slots, output.list), (slots, vec![1, 2, 3, 4, 5, 6]));
+    }
+
+    #[test]
+    fn a_split_stays_only_when_it_saves_enough() {
+        // It saves 25, see above.
+        let kept = packed(&[], &[1, 2, 3], &[4, 5, 6]);
+        assert_eq!(packed_if_it_saves(24.9, &[], &[1, 2, 3], &[4, 5, 6]).slots, kept.slots);
+        let output = packed_if_it_saves(25.1, &[], &[1, 2, 3], &[4, 5, 6]);
+        assert_eq!((output.slots, output.list), (vec![Node::leaf(6, 0).0], vec![1, 2, 3, 4, 5, 6]));
     }
 
     #[test]

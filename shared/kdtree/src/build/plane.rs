@@ -2,6 +2,9 @@
 //!
 //! `C = lambda (K_T + K_I (SA_L / SA n_L + SA_R / SA n_R))`, with `lambda` = the empty factor when a side gets no triangle, else 1; a
 //! triangle in the plane goes to the side that is cheaper. A leaf costs `K_I n` (Wald and Havran 2006, equations 4 to 6).
+//!
+//! One departure: only an empty side that is [`LEAST_EMPTY`] of the cell wide gets the factor. With it for every empty side, thin slices
+//! of nothing are cut off one after the other before the triangles are parted: rays that enter pay a step for each.
 
 use super::BuildOptions;
 use super::clip::Cell;
@@ -69,8 +72,13 @@ struct AxisCost {
     /// `SA_L / SA = ends + sides (p - min)`: both ends of the axis, and the faces beside it per unit of length.
     ends: f64,
     sides: f64,
+    /// An empty low side gets the empty factor up from here, an empty high side down from there.
+    empty: [f32; 2],
     costs: Costs,
 }
+
+/// Least width of an empty side that gets the empty factor, as a share of the cell's width.
+const LEAST_EMPTY: f32 = 0.1;
 
 impl AxisCost {
     fn new(cell: &Cell, axis: usize, costs: &Costs) -> Self {
@@ -78,7 +86,9 @@ impl AxisCost {
         let (u, v) = (extent[(axis + 1) % 3], extent[(axis + 2) % 3]);
         let area = cell.area();
         let (min, max) = (cell.min[axis], cell.max[axis]);
-        Self { axis, min, max, ends: 2.0 * u * v / area, sides: 2.0 * (u + v) / area, costs: *costs }
+        let (ends, sides) = (2.0 * u * v / area, 2.0 * (u + v) / area);
+        let least = LEAST_EMPTY * (max - min);
+        Self { axis, min, max, ends, sides, empty: [min + least, max - least], costs: *costs }
     }
 
     /// Whether a plane at `position` would leave both halves a volume.
@@ -95,7 +105,9 @@ impl AxisCost {
         let high_share = self.ends + self.sides * (f64::from(self.max) - f64::from(position));
         let cost = |low: usize, high: usize| {
             // A look-up and not a branch: neither outcome is the likely one.
-            let factor = self.costs.factors[usize::from((low == 0) | (high == 0))];
+            let [from, to] = self.empty;
+            let is_empty = ((low == 0) & (position >= from)) | ((high == 0) & (position <= to));
+            let factor = self.costs.factors[usize::from(is_empty)];
             let tests = low_share * low as f64 + high_share * high as f64;
             factor * (self.costs.traversal + self.costs.intersection * tests)
         };
@@ -163,13 +175,12 @@ pub(super) fn count(boxes: &[Cell], cell: &Cell, costs: &Costs) -> Option<Plane>
 struct Ends {
     min: [[f32; LANES]; COUNTED / LANES],
     max: [[f32; LANES]; COUNTED / LANES],
-    used: usize,
+    len: usize,
 }
 
 const LANES: usize = 4;
 
-// The three counts share a word, a byte each.
-const _: () = assert!(COUNTED.is_multiple_of(LANES) && COUNTED < 256);
+const _: () = assert!(COUNTED.is_multiple_of(LANES));
 
 impl Ends {
     fn new(boxes: &[Cell], axis: usize) -> Self {
@@ -177,7 +188,7 @@ impl Ends {
             // Lanes without a box lie on no side of any plane.
             min: [[f32::INFINITY; LANES]; COUNTED / LANES],
             max: [[f32::NEG_INFINITY; LANES]; COUNTED / LANES],
-            used: boxes.len().div_ceil(LANES),
+            len: boxes.len(),
         };
         for (i, b) in boxes.iter().enumerate() {
             ends.min[i / LANES][i % LANES] = b.min[axis];
@@ -189,17 +200,17 @@ impl Ends {
     /// How many boxes reach below `at`, lie in it, and reach above it.
     #[inline]
     fn count(&self, at: f32) -> [usize; 3] {
-        let mut counts = [0u32; LANES];
-        for (min, max) in self.min[..self.used].iter().zip(&self.max) {
+        let [mut low, mut high, mut either] = [[0u32; LANES]; 3];
+        for (min, max) in self.min.iter().zip(&self.max).take(self.len.div_ceil(LANES)) {
             for lane in 0..LANES {
-                let low = u32::from(min[lane] < at);
-                let flat = u32::from(min[lane] == at) & u32::from(max[lane] == at);
-                let high = u32::from(max[lane] > at);
-                counts[lane] += low | flat << 8 | high << 16;
+                let (below, above) = (u32::from(min[lane] < at), u32::from(max[lane] > at));
+                low[lane] += below;
+                high[lane] += above;
+                either[lane] += below | above;
             }
         }
-        let sum: u32 = counts.iter().sum();
-        [sum & 0xFF, sum >> 8 & 0xFF, sum >> 16].map(|count| count as usize)
+        let [low, high, either] = [low, high, either].map(|lanes| lanes.iter().sum::<u32>() as usize);
+        [low, self.len - either, high]
     }
 }
 
@@ -260,6 +271,19 @@ mod tests {
         // Copies of one box that fills the cell cannot be parted.
         assert_eq!(count(&[CUBE; 20], &CUBE, &costs()), None);
         assert_eq!(count(&[], &CUBE, &costs()), None);
+    }
+
+    #[test]
+    fn only_an_empty_side_that_is_wide_enough_gets_the_empty_factor() {
+        // 20 boxes from x on and 40 in the high half. The plane at 4 costs 15 + 20 * 2/3 * (20 + 60) = 1081.7; the one at x, of all
+        // 60 on one side, 15 + 20 * 60 (1 - x / 12): more, but less with the factor.
+        let plane = |x: f32| {
+            let from = |min: f32| Cell { min: [min, 0.0, 0.0], max: [8.0; 3] };
+            let boxes = [vec![from(x); 20], vec![from(4.0); 40]].concat();
+            sweep(&sorted_events(&boxes), boxes.len(), &CUBE, &costs()).map(|p| (p.axis, p.position))
+        };
+        assert_eq!(plane(0.7), Some((0, 4.0)));
+        assert_eq!(plane(0.9), Some((0, 0.9)));
     }
 
     #[test]

@@ -11,23 +11,78 @@
 //! A triangle may be referenced when both reach their threshold and at least two leaves list it. The ones in most leaves are
 //! taken first, then the smaller id.
 
-use super::Builder;
-use super::clip::Cell;
 use super::emit::Output;
 use super::plane::Plane;
 use super::set::{Set, Workshop};
+use super::{Builder, Place};
+use crate::build::clip::Cell;
+use std::ops::Range;
 use tessera_geometry::Vec3;
 
-/// A node of the plain tree that the choice of references is made on. It keeps its triangles: where nothing is referenced
-/// the plain tree *is* the result, and where something is, the rest is split anew.
-pub(super) struct Trial {
-    set: Set,
+/// Plain trees that the choice of references is made on, one behind the other in the same arrays. Their nodes keep their triangles:
+/// where nothing is referenced the plain tree *is* the result, and where something is, the rest is split anew.
+#[derive(Default)]
+pub(super) struct Trials {
+    nodes: Vec<Trial>,
+    /// Triangles of the nodes, ascending within one.
+    ids: Vec<u32>,
+    /// Of the same triangles: the box of the part in the node's cell.
+    boxes: Vec<Cell>,
+    /// Of the same triangles: in how many leaves below the node it is listed.
+    listed: Vec<u32>,
+}
+
+/// A node of a trial tree.
+struct Trial {
+    /// Its triangles in the arrays.
+    triangles: Range<usize>,
     /// The plane and the children's places among the trials; `None` for a leaf.
     split: Option<(Plane, [usize; 2])>,
-    /// In how many leaves below each triangle of `set` is listed.
-    listed: Vec<u32>,
     /// Leaves below that list anything.
     full_leaves: u32,
+}
+
+impl Trials {
+    /// Appends the triangles of a node that is in `listed` leaves of its own.
+    fn push_triangles(&mut self, set: &Set, listed: u32) -> Range<usize> {
+        let first = self.ids.len();
+        self.ids.extend_from_slice(set.ids());
+        self.boxes.extend_from_slice(set.boxes());
+        self.listed.resize(self.ids.len(), listed);
+        first..self.ids.len()
+    }
+
+    fn push(&mut self, trial: Trial) -> usize {
+        self.nodes.push(trial);
+        self.nodes.len() - 1
+    }
+
+    /// Adds to each of `triangles` the leaves below `child` that list it.
+    fn add_listed(&mut self, triangles: &Range<usize>, child: usize) {
+        // A child's ids are some of ours, in the same order.
+        let mut ours = triangles.clone();
+        for below in self.nodes[child].triangles.clone() {
+            if let Some(at) = ours.find(|&at| self.ids[at] == self.ids[below]) {
+                self.listed[at] += self.listed[below];
+            }
+        }
+    }
+
+    fn ids(&self, trial: usize) -> &[u32] {
+        &self.ids[self.nodes[trial].triangles.clone()]
+    }
+
+    fn boxes(&self, trial: usize) -> &[Cell] {
+        &self.boxes[self.nodes[trial].triangles.clone()]
+    }
+
+    /// Drops nodes and triangles behind the first `nodes` and `triangles`.
+    fn truncate(&mut self, nodes: usize, triangles: usize) {
+        self.nodes.truncate(nodes);
+        self.ids.truncate(triangles);
+        self.boxes.truncate(triangles);
+        self.listed.truncate(triangles);
+    }
 }
 
 impl<V: Fn(u32) -> [Vec3; 3] + Sync> Builder<'_, V> {
@@ -35,121 +90,94 @@ impl<V: Fn(u32) -> [Vec3; 3] + Sync> Builder<'_, V> {
     pub(super) fn build_with_refs(
         &self,
         set: Set,
-        cell: &Cell,
-        depth: u32,
+        place: Place,
         budget: u32,
         output: &mut Output,
         shop: &mut Workshop,
     ) {
         if budget == 0 {
-            return self.build_plain(set, cell, depth, output, shop);
+            return self.build_plain(set, place, output, shop);
         }
-        let before = shop.trials.len();
-        let trial = self.try_plain(set, cell, depth, shop);
-        self.refine(trial, cell, depth, budget, output, shop);
-        // Sets below a reference have not been used up.
-        while shop.trials.len() > before
-            && let Some(trial) = shop.trials.pop()
-        {
-            shop.give_back(trial.set);
-            shop.spare_counts.push(trial.listed);
-        }
+        let (nodes, triangles) = (shop.trials.nodes.len(), shop.trials.ids.len());
+        let trial = self.try_plain(set, place, shop);
+        self.refine(trial, place, budget, output, shop);
+        shop.trials.truncate(nodes, triangles);
     }
 
     /// Appends the plain tree of `set` to the trials and returns its root's place.
-    fn try_plain(&self, set: Set, cell: &Cell, depth: u32, shop: &mut Workshop) -> usize {
-        let mut listed = shop.spare_counts.pop().unwrap_or_default();
-        listed.clear();
-        let trial = match self.best_plane(&set, cell, depth) {
-            None => {
-                listed.resize(set.len(), 1);
-                let full_leaves = u32::from(!set.is_empty());
-                Trial { set, split: None, listed, full_leaves }
-            }
-            Some(plane) => {
-                let [low, high] = self.split(&set, cell, &plane, shop);
-                let [low_cell, high_cell] = cell.split(&plane);
-                let children = [
-                    self.try_plain(low, &low_cell, depth + 1, shop),
-                    self.try_plain(high, &high_cell, depth + 1, shop),
-                ];
-                listed.resize(set.len(), 0);
-                let mut full_leaves = 0;
-                for child in children.map(|child| &shop.trials[child]) {
-                    full_leaves += child.full_leaves;
-                    // A child's ids are some of ours, in the same order.
-                    let mut places = set.ids().iter().zip(&mut listed);
-                    for (id, below) in child.set.ids().iter().zip(&child.listed) {
-                        if let Some((_, count)) = places.find(|(ours, _)| *ours == id) {
-                            *count += below;
-                        }
-                    }
-                }
-                Trial { set, split: Some((plane, children)), listed, full_leaves }
-            }
+    fn try_plain(&self, set: Set, place: Place, shop: &mut Workshop) -> usize {
+        let place = self.enter(place, set.len());
+        let Some(plane) = self.best_plane(&set, &place) else {
+            let triangles = shop.trials.push_triangles(&set, 1);
+            let full_leaves = u32::from(!set.is_empty());
+            shop.give_back(set);
+            return shop.trials.push(Trial { triangles, split: None, full_leaves });
         };
-        shop.trials.push(trial);
-        shop.trials.len() - 1
+        let triangles = shop.trials.push_triangles(&set, 0);
+        let [low, high] = self.split(&set, &place.cell, &plane, shop);
+        shop.give_back(set);
+        let [low_place, high_place] = place.split(&plane);
+        let children = [self.try_plain(low, low_place, shop), self.try_plain(high, high_place, shop)];
+        let mut full_leaves = 0;
+        for child in children {
+            full_leaves += shop.trials.nodes[child].full_leaves;
+            shop.trials.add_listed(&triangles, child);
+        }
+        shop.trials.push(Trial { triangles, split: Some((plane, children)), full_leaves })
     }
 
     /// Appends the result of a trial: its own nodes where nothing is referenced, others below a reference.
-    fn refine(
-        &self,
-        trial: usize,
-        cell: &Cell,
-        depth: u32,
-        budget: u32,
-        output: &mut Output,
-        shop: &mut Workshop,
-    ) {
-        let Some((plane, [low, high])) = shop.trials[trial].split else {
-            output.leaf(shop.trials[trial].set.ids());
+    fn refine(&self, trial: usize, place: Place, budget: u32, output: &mut Output, shop: &mut Workshop) {
+        let Some((plane, [low, high])) = shop.trials.nodes[trial].split else {
+            output.leaf(shop.trials.ids(trial));
             return;
         };
-        let chosen = self.choose(&shop.trials[trial], cell, budget);
+        let place = self.enter(place, shop.trials.ids(trial).len());
+        let chosen = self.choose(&shop.trials, trial, &place.cell, budget);
         if chosen.is_empty() {
-            let [low_cell, high_cell] = cell.split(&plane);
+            let [low_place, high_place] = place.split(&plane);
             let node = output.open_inner(&plane, &[]);
-            self.refine(low, &low_cell, depth + 1, budget, output, shop);
+            self.refine(low, low_place, budget, output, shop);
             output.begin_right(node);
-            self.refine(high, &high_cell, depth + 1, budget, output, shop);
-            output.close_inner(node, cell, &self.costs);
+            self.refine(high, high_place, budget, output, shop);
+            output.close_inner(node, &place, &self.costs);
             return;
         }
 
         // Split what is left; where that does not pay, the node is a leaf of everything.
         let mut rest = shop.take();
-        let set = &shop.trials[trial].set;
-        rest.copy_without(set, &chosen);
-        match self.best_plane(&rest, cell, depth) {
-            None => output.leaf(set.ids()),
+        let ids = shop.trials.ids(trial);
+        rest.fill_without(ids, shop.trials.boxes(trial), &chosen);
+        match self.best_plane(&rest, &place) {
+            None => output.leaf(ids),
             Some(plane) => {
-                let refs: Vec<u32> = chosen.iter().map(|&place| set.ids()[place]).collect();
+                let refs: Vec<u32> = chosen.iter().map(|&at| ids[at]).collect();
                 let budget = budget - refs.len() as u32;
-                let [low, high] = self.split(&rest, cell, &plane, shop);
-                let [low_cell, high_cell] = cell.split(&plane);
+                let [low, high] = self.split(&rest, &place.cell, &plane, shop);
+                let [low_place, high_place] = place.split(&plane);
                 let node = output.open_inner(&plane, &refs);
-                self.build_with_refs(low, &low_cell, depth + 1, budget, output, shop);
+                self.build_with_refs(low, low_place, budget, output, shop);
                 output.begin_right(node);
-                self.build_with_refs(high, &high_cell, depth + 1, budget, output, shop);
-                output.close_inner(node, cell, &self.costs);
+                self.build_with_refs(high, high_place, budget, output, shop);
+                output.close_inner(node, &place, &self.costs);
             }
         }
         shop.give_back(rest);
     }
 
-    /// Places of the triangles to reference, ascending.
-    fn choose(&self, trial: &Trial, cell: &Cell, budget: u32) -> Vec<usize> {
+    /// Places among a trial's triangles of those to reference, ascending.
+    fn choose(&self, trials: &Trials, trial: usize, cell: &Cell, budget: u32) -> Vec<usize> {
+        let Trial { triangles, full_leaves, .. } = &trials.nodes[trial];
+        let (listed, boxes) = (&trials.listed[triangles.clone()], &trials.boxes[triangles.clone()]);
         let cell_extent = cell.extent();
-        let least = (f64::from(self.options.tau_frequency) * f64::from(trial.full_leaves)).max(2.0);
-        let occupies = |place: usize| {
-            let extent = trial.set.boxes()[place].extent();
+        let least = (f64::from(self.options.tau_frequency) * f64::from(*full_leaves)).max(2.0);
+        let occupies = |at: usize| {
+            let extent = boxes[at].extent();
             (0..3).any(|k| extent[k] >= f64::from(self.options.tau_occupancy) * cell_extent[k])
         };
-        let mut places: Vec<usize> = (0..trial.set.len())
-            .filter(|&place| f64::from(trial.listed[place]) >= least && occupies(place))
-            .collect();
-        places.sort_by_key(|&place| (std::cmp::Reverse(trial.listed[place]), place));
+        let mut places: Vec<usize> =
+            (0..listed.len()).filter(|&at| f64::from(listed[at]) >= least && occupies(at)).collect();
+        places.sort_by_key(|&at| (std::cmp::Reverse(listed[at]), at));
         places.truncate(self.options.max_refs.min(budget) as usize);
         places.sort_unstable();
         places

@@ -4,7 +4,7 @@ use super::Builder;
 use super::clip::{Cell, clip_halves};
 use super::events::{Event, push_events};
 use super::plane::{self, Plane};
-use super::refs::Trial;
+use super::refs::Trials;
 use rayon::prelude::*;
 use tessera_geometry::Vec3;
 
@@ -36,10 +36,7 @@ impl Set {
         if set.len() > plane::COUNTED {
             let boxes = &set.boxes;
             set.events.par_iter_mut().enumerate().for_each(|(axis, events)| {
-                events.reserve_exact(2 * boxes.len());
-                for (b, index) in boxes.iter().zip(0..) {
-                    push_events(events, b, axis, index);
-                }
+                list_events(events, boxes, axis);
                 events.par_sort_unstable();
             });
         }
@@ -163,20 +160,17 @@ impl Set {
         self.ids.len() as u32 - 1
     }
 
-    /// Makes this (empty) set the triangles of `other` but for those at `places`, ascending.
-    pub fn copy_without(&mut self, other: &Self, places: &[usize]) {
-        let kept = |place: usize| !places.contains(&place);
-        for (place, (&id, bounds)) in other.ids.iter().zip(&other.boxes).enumerate() {
-            if kept(place) {
+    /// Makes this (empty) set the triangles `ids` (ascending) with their `boxes`, but for those at `places`.
+    pub fn fill_without(&mut self, ids: &[u32], boxes: &[Cell], places: &[usize]) {
+        for (place, (&id, bounds)) in ids.iter().zip(boxes).enumerate() {
+            if !places.contains(&place) {
                 self.push(id, bounds);
             }
         }
         if self.len() > plane::COUNTED {
-            for (events, others) in self.events.iter_mut().zip(&other.events) {
-                events.extend(others.iter().filter(|e| kept(e.index())).map(|e| {
-                    let before = places.iter().filter(|&&p| p < e.index()).count();
-                    e.with_index((e.index() - before) as u32)
-                }));
+            for (axis, events) in self.events.iter_mut().enumerate() {
+                list_events(events, &self.boxes, axis);
+                events.sort_unstable();
             }
         }
     }
@@ -185,6 +179,14 @@ impl Set {
         self.ids.clear();
         self.boxes.clear();
         self.events.iter_mut().for_each(Vec::clear);
+    }
+}
+
+/// Appends the events of all `boxes` along `axis`, in their order.
+fn list_events(events: &mut Vec<Event>, boxes: &[Cell], axis: usize) {
+    events.reserve_exact(2 * boxes.len());
+    for (b, index) in boxes.iter().zip(0..) {
+        push_events(events, b, axis, index);
     }
 }
 
@@ -255,8 +257,7 @@ pub(super) struct Workshop {
     /// Their events along one axis.
     fresh: [Vec<Event>; 2],
     /// Trial trees that are being refined, the innermost last.
-    pub trials: Vec<Trial>,
-    pub spare_counts: Vec<Vec<u32>>,
+    pub trials: Trials,
 }
 
 impl Workshop {
