@@ -13,6 +13,11 @@ impl Aabb {
     /// The box that holds nothing.
     pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
 
+    /// Factors by which [`Aabb::clip`] shortens near ends and lengthens far ends.
+    pub const SHORTEN: f32 = 1.0 - 2.0 * gamma(3);
+    #[allow(missing_docs, reason = "said above")]
+    pub const LENGTHEN: f32 = 1.0 + 2.0 * gamma(3);
+
     /// The smallest box around `points`.
     pub fn around(points: impl IntoIterator<Item = Vec3>) -> Self {
         points.into_iter().fold(Self::EMPTY, |b, p| Self { min: b.min.min(p), max: b.max.max(p) })
@@ -35,8 +40,6 @@ impl Aabb {
     /// *Physically Based Rendering*, section 6.8.2), so neither a ray that meets the box nor a hit at either end is turned away.
     #[inline]
     pub fn clip(&self, ray: &Ray, inverse: Vec3) -> Option<(f32, f32)> {
-        const SHORTEN: f32 = 1.0 - 2.0 * gamma(3);
-        const LENGTHEN: f32 = 1.0 + 2.0 * gamma(3);
         let (mut t0, mut t1) = (ray.t_min, ray.t_max);
         for axis in 0..3 {
             let mut near = (self.min[axis] - ray.origin[axis]) * inverse[axis];
@@ -45,7 +48,7 @@ impl Aabb {
                 (near, far) = (far, near);
             }
             // An origin in a face with a parallel ray gives 0 * inf = NaN, which these comparisons pass over.
-            let (near, far) = (near * SHORTEN, far * LENGTHEN);
+            let (near, far) = (near * Self::SHORTEN, far * Self::LENGTHEN);
             t0 = if near > t0 { near } else { t0 };
             t1 = if far < t1 { far } else { t1 };
         }

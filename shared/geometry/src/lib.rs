@@ -12,6 +12,7 @@ pub mod ray;
 pub mod rounding;
 mod srgb;
 pub mod triangle;
+pub mod wide;
 
 pub use aabb::Aabb;
 pub use camera::{CameraPose, LocalCamera};

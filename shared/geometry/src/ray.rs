@@ -23,6 +23,9 @@ impl Ray {
     /// digits by underflow.
     pub const DIRECTION_MAX: f32 = f32::from_bits((127 + 60) << 23);
 
+    /// The least share of the largest component of a direction that is a divisor ([`Ray::divisor`]), 2^-40.
+    pub const DIVISOR_SHARE: f32 = f32::from_bits((127 - 40) << 23);
+
     /// Whether the kernels can trace this ray: a finite origin, a finite direction whose largest component is from
     /// [`Ray::DIRECTION_MIN`] to [`Ray::DIRECTION_MAX`], and `0 <= t_min < t_max`. Every other ray misses everything.
     pub fn is_traceable(&self) -> bool {
@@ -38,8 +41,7 @@ impl Ray {
     /// than a 2^16th of a roundoff of its distance from the origin; of the others the inverse is at most 2^100.
     #[inline]
     pub fn divisor(&self) -> Vec3 {
-        const SHARE: f32 = f32::from_bits((127 - 40) << 23);
-        let least = self.direction.abs().max_element() * SHARE;
+        let least = self.direction.abs().max_element() * Self::DIVISOR_SHARE;
         Vec3::from_array(self.direction.to_array().map(|d| if d.abs() < least { 0.0 } else { d }))
     }
 }

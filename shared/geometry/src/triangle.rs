@@ -20,7 +20,7 @@ use crate::{DVec3, Ray, Vec3};
 /// The part of the test that depends on the ray alone: a permutation of the axes and a shear that take the ray to +z.
 #[derive(Clone, Copy, Debug)]
 pub struct RayShear {
-    /// Axis permutation `[kx, ky, kz]`: `kz` is the direction's largest component, and the three keep the winding.
+    /// Axis permutation `[kx, ky, kz]`, a rotation: `kz` is the direction's largest component.
     k: [usize; 3],
     /// `direction[kx] / direction[kz]`, in [-1, 1].
     x: f32,
@@ -40,10 +40,9 @@ impl RayShear {
         } else {
             2
         };
-        let (mut kx, mut ky) = ((kz + 1) % 3, (kz + 2) % 3);
-        if d[kz] < 0.0 {
-            (kx, ky) = (ky, kx);
-        }
+        // Woop, Benthin and Wald swap the other two axes where the direction points down kz, to keep the winding. Neither
+        // verdict nor quotients of edge functions depend on that.
+        let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
         Self { k: [kx, ky, kz], x: d[kx] / d[kz], y: d[ky] / d[kz] }
     }
 }
@@ -190,8 +189,10 @@ fn locate(ray: &Ray, [kx, ky, kz]: [usize; 3], vertices: [Vec3; 3]) -> Option<Cr
     let is_there = is_inside && ((to_plane - to_point) * d[kz]).abs() <= roundoff;
 
     let t = if is_there { to_plane } else { to_point };
-    let b1 = weights[1] as f32;
-    Some(Crossing { t: t as f32, b1, b2: (weights[2] as f32).min(1.0 - b1) })
+    let (b1, b2) = (weights[1] as f32, weights[2] as f32);
+    // (Spelt out: which zero `min` takes of two is not defined.)
+    let rest = 1.0 - b1;
+    Some(Crossing { t: t as f32, b1, b2: if b2 < rest { b2 } else { rest } })
 }
 
 /// Weights of the point on the edges of a projected triangle that is nearest to the origin.

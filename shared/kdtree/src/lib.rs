@@ -3,10 +3,14 @@
 //! Nodes are 8- and 16-byte slots; see [`node`] for the bits.
 
 pub mod build;
+mod kernel;
 pub mod node;
+mod packet;
 pub mod traverse;
 pub mod validate;
 
 pub use build::{BuildError, BuildOptions, Tree, TreeStats, build};
+pub use kernel::Kernel;
+pub use packet::brute_force_closest_hits;
 pub use traverse::{TreeView, Triangles, brute_force_closest};
 pub use validate::{TreeError, validate};

@@ -9,6 +9,7 @@
 //! then lies in a cell that is visited, over an interval that holds its `t`.
 
 use crate::node::{MAX_DEPTH, Node, Slot};
+use arrayvec::ArrayVec;
 use tessera_geometry::rounding::gamma;
 use tessera_geometry::triangle::{LATERAL_ERROR, RayShear, intersect};
 use tessera_geometry::{Aabb, Hit, Ray, Vec3};
@@ -48,8 +49,7 @@ impl TreeView<'_> {
         self.walk::<true>(triangles, ray, accept).is_some()
     }
 
-    /// Visits the cells along `ray` from near to far; stops at the first accepted hit if `ANY`, else when no cell can hold
-    /// a nearer one. (Havran 2000's traversal, with references as in Seo, Park and Ihm 2022, section 3.2.)
+    /// Searches along the whole of `ray`.
     fn walk<const ANY: bool>(
         &self,
         triangles: &impl Triangles,
@@ -59,21 +59,23 @@ impl TreeView<'_> {
         if !ray.is_traceable() {
             return None;
         }
-        let origin = ray.origin.to_array();
-        let direction = ray.divisor().to_array();
-        let inverse = direction.map(f32::recip);
-
-        // Clip the ray, as thick as it counts, to the scene.
-        let Aabb { min, max } = self.bounds;
-        let radius = THICKNESS * (min - ray.origin).abs().max((max - ray.origin).abs()).max_element();
-        let bounds = Aabb { min: min - radius, max: max + radius };
-        let (mut t0, mut t1) = bounds.clip(ray, Vec3::from_array(inverse))?;
-        let slack = inverse.map(|inverse| radius * inverse.abs());
-
+        let (line, t0, t1) = Line::enter(ray, &self.bounds)?;
         let mut search = Search::new(triangles, ray, accept);
-        let mut stack = [(0u32, 0.0f32, 0.0f32); MAX_DEPTH as usize];
-        let mut pending = 0;
-        let mut at = 0u32;
+        self.descend::<ANY>(&line, &mut search, (0, t0, t1));
+        search.found.then_some(search.best)
+    }
+
+    /// Visits the cells along the ray from near to far, in the subtree and over the interval that `start` names; stops at the
+    /// first accepted hit if `ANY`, else when no cell can hold a nearer one. (Havran 2000's traversal, with references as in
+    /// Seo, Park and Ihm 2022, section 3.2.)
+    pub(crate) fn descend<const ANY: bool>(
+        &self,
+        line: &Line,
+        search: &mut Search<'_, impl Triangles, impl FnMut(&Hit) -> bool>,
+        start: (u32, f32, f32),
+    ) {
+        let mut stack = ArrayVec::<_, { MAX_DEPTH as usize }>::new();
+        let (mut at, mut t0, mut t1) = start;
         loop {
             let node = Node(self.slots[at as usize]);
             if node.is_leaf() {
@@ -99,70 +101,92 @@ impl TreeView<'_> {
                     }
                 }
                 if ANY && search.found {
-                    return Some(search.best);
+                    return;
                 }
                 if !search.is_nearer_than(t0) {
                     t1 = if search.best.t < t1 { search.best.t } else { t1 };
 
-                    let axis = node.axis();
-                    let (x, split, step) = (origin[axis], node.split(), direction[axis]);
-                    if step == 0.0 {
-                        // The ray is parallel to the plane: on one side of it, or in it.
-                        if (split - x).abs() <= radius {
-                            stack[pending] = (node.right(), t0, t1);
-                            pending += 1;
+                    let LineAxis { origin, inverse, slack } = line.axes[node.axis()];
+                    let split = node.split();
+                    if inverse.is_infinite() {
+                        // The ray is parallel to the plane: on one side of it, or as thick as it is in it.
+                        if (split - origin).abs() <= line.radius {
+                            stack.push((node.right(), t0, t1));
                             at = left;
                         } else {
-                            at = if x < split { left } else { node.right() };
+                            at = if origin < split { left } else { node.right() };
                         }
                         continue;
                     }
 
-                    // Find the near side of the plane, and where the ray comes to it and leaves it.
-                    let (near, far) = if x < split || (x == split && step < 0.0) {
-                        (left, node.right())
-                    } else {
-                        (node.right(), left)
-                    };
-                    let to_plane = (split - x) * inverse[axis];
-                    let (enter, leave) = (to_plane - slack[axis], to_plane + slack[axis]);
+                    // Find where the ray comes to the plane and leaves it. Along the ray the cells follow each other as its
+                    // direction points; a plane behind the origin has negative distances and leaves the cell behind it.
+                    let (first, second) =
+                        if inverse < 0.0 { (node.right(), left) } else { (left, node.right()) };
+                    let to_plane = (split - origin) * inverse;
+                    let (enter, leave) = (to_plane - slack, to_plane + slack);
 
                     // Go on in the cells that the ray passes.
-                    if to_plane <= 0.0 {
-                        // The plane lies behind the origin or holds it; the ray may not be clear of it yet.
-                        if leave >= t0 * (1.0 - MARGIN) {
-                            stack[pending] = (far, t0, if leave < t1 { leave } else { t1 });
-                            pending += 1;
-                        }
-                        at = near;
+                    if leave < t0 * (1.0 - MARGIN) {
+                        at = second;
                     } else if enter > t1 * (1.0 + MARGIN) {
-                        at = near;
-                    } else if leave < t0 * (1.0 - MARGIN) {
-                        at = far;
+                        at = first;
                     } else {
-                        stack[pending] = (far, if enter > t0 { enter } else { t0 }, t1);
-                        pending += 1;
+                        stack.push((second, if enter > t0 { enter } else { t0 }, t1));
                         t1 = if leave < t1 { leave } else { t1 };
-                        at = near;
+                        at = first;
                     }
                     continue;
                 }
             }
             if ANY && search.found {
-                return Some(search.best);
+                return;
             }
             // Take up the nearest cell that waits, unless every one of them lies behind the best hit.
             loop {
-                if pending == 0 {
-                    return search.found.then_some(search.best);
-                }
-                pending -= 1;
-                (at, t0, t1) = stack[pending];
+                let Some(next) = stack.pop() else { return };
+                (at, t0, t1) = next;
                 if !search.is_nearer_than(t0) {
                     break;
                 }
             }
         }
+    }
+}
+
+/// A ray as the traversal sees it: thick, along [`Ray::divisor`].
+#[derive(Clone, Copy)]
+pub(crate) struct Line {
+    /// x, y, z, and one that is never used: so every value of a node's two axis bits is an index.
+    axes: [LineAxis; 4],
+    /// Half the thickness.
+    radius: f32,
+}
+
+/// One coordinate of a [`Line`].
+#[derive(Clone, Copy, Default)]
+struct LineAxis {
+    origin: f32,
+    /// `1 / direction`; infinite for a ray that is parallel to planes across this axis.
+    inverse: f32,
+    /// The distance along the ray that [`Line::radius`] makes: `radius * |inverse|`.
+    slack: f32,
+}
+
+impl Line {
+    /// The traceable `ray` and its part inside `bounds`, as thick as it counts.
+    pub(crate) fn enter(ray: &Ray, bounds: &Aabb) -> Option<(Self, f32, f32)> {
+        let inverse = ray.divisor().to_array().map(f32::recip);
+        let Aabb { min, max } = *bounds;
+        let radius = THICKNESS * (min - ray.origin).abs().max((max - ray.origin).abs()).max_element();
+        let thick = Aabb { min: min - radius, max: max + radius };
+        let (t0, t1) = thick.clip(ray, Vec3::from_array(inverse))?;
+        let origin = ray.origin.to_array();
+        let mut axes = [LineAxis::default(); 4];
+        for k in 0..3 {
+            axes[k] = LineAxis { origin: origin[k], inverse: inverse[k], slack: radius * inverse[k].abs() };
+        }
+        Some((Self { axes, radius }, t0, t1))
     }
 }
 
@@ -187,26 +211,26 @@ pub fn brute_force_closest(
 /// Half the thickness of the ray, in units of the largest coordinate of the scene relative to its origin: the reported point of
 /// a hit is within [`LATERAL_ERROR`] of the exact ray at the exact `t`, rounding `t` moves it by one unit roundoff more, and a
 /// plane distance with its slack takes four rounded operations and one inverse.
-const THICKNESS: f32 = LATERAL_ERROR + gamma(6);
+pub(crate) const THICKNESS: f32 = LATERAL_ERROR + gamma(6);
 
 /// The relative error allowed to a distance compared with another one, over and above [`THICKNESS`]: both were rounded to `f32` and one
 /// has been through a sum or two; this is eight roundoffs.
-const MARGIN: f32 = 4.0 * f32::EPSILON;
+pub(crate) const MARGIN: f32 = 4.0 * f32::EPSILON;
 
 /// The best hit so far, and what is needed to find a better one.
-struct Search<'a, T, A> {
+pub(crate) struct Search<'a, T, A> {
     triangles: &'a T,
     ray: &'a Ray,
     shear: RayShear,
     accept: A,
     /// Before the first hit: `t_max` with the smallest id, which no hit at `t_max` itself precedes.
-    best: Hit,
-    found: bool,
+    pub(crate) best: Hit,
+    pub(crate) found: bool,
 }
 
 impl<'a, T: Triangles, A: FnMut(&Hit) -> bool> Search<'a, T, A> {
     /// A search along `ray`, which is traceable.
-    fn new(triangles: &'a T, ray: &'a Ray, accept: A) -> Self {
+    pub(crate) fn new(triangles: &'a T, ray: &'a Ray, accept: A) -> Self {
         let best = Hit { t: ray.t_max, triangle: 0, b1: 0.0, b2: 0.0 };
         Self { triangles, ray, shear: RayShear::new(ray), accept, best, found: false }
     }

@@ -3,8 +3,10 @@
 mod common;
 
 use common::{Random, Soup, planes, scenes, sphere, unkind_ray};
-use tessera_geometry::{Ray, Vec3};
-use tessera_kdtree::{Tree, brute_force_closest, validate};
+use fearless_simd::Level;
+use tessera_geometry::{Hit, Ray, Vec3};
+
+use tessera_kdtree::{Kernel, Tree, brute_force_closest, brute_force_closest_hits, validate};
 
 /// Holds closest and any hit of `tree` to brute force on `count` rays of the unkind mix.
 fn check(name: &str, soup: &Soup, tree: &Tree, count: usize) {
@@ -15,12 +17,11 @@ fn check(name: &str, soup: &Soup, tree: &Tree, count: usize) {
     for i in 0..count {
         let ray = unkind_ray(i, &mut random, soup, &planes);
         // Odd rays see only odd triangles, as through alpha cut-outs.
-        let accept = |hit: &tessera_geometry::Hit| i % 2 == 0 || hit.triangle % 2 == 1;
+        let accept = |hit: &Hit| i % 2 == 0 || hit.triangle % 2 == 1;
         let expected = brute_force_closest(soup.len(), soup, &ray, accept);
         let found = tree.view().closest_hit(soup, &ray, accept);
-        let bits = |hit: Option<tessera_geometry::Hit>| {
-            hit.map(|h| (h.triangle, h.t.to_bits(), h.b1.to_bits(), h.b2.to_bits()))
-        };
+        let bits =
+            |hit: Option<Hit>| hit.map(|h| (h.triangle, h.t.to_bits(), h.b1.to_bits(), h.b2.to_bits()));
         assert_eq!(bits(found), bits(expected), "{name}, ray {i}: {ray:?}: {found:?}, not {expected:?}");
         assert_eq!(
             tree.view().any_hit(soup, &ray, accept),
@@ -77,5 +78,83 @@ fn no_ray_leaks_out_of_a_closed_mesh() {
             let tree = soup.build(max_refs);
             assert_eq!(leaks(&soup, &tree, 60_000), 0, "flatness {flatness}, {max_refs} references");
         }
+    }
+}
+
+/// What this machine has, and what every machine has.
+fn kernels() -> [Kernel; 2] {
+    [Kernel::wide(), Kernel::Wide(Level::baseline())]
+}
+
+fn all_bits(hits: &[Option<Hit>]) -> Vec<Option<(u32, u32, u32, u32)>> {
+    let bits = |h: &Hit| (h.triangle, h.t.to_bits(), h.b1.to_bits(), h.b2.to_bits());
+    hits.iter().map(|hit| hit.as_ref().map(bits)).collect()
+}
+
+/// Packet `i`: rays of the unkind mix, or one of them eight times with neighbours of its target, so that they stay together.
+fn packet(i: usize, random: &mut Random, soup: &Soup, planes: &[(usize, f32)]) -> [Ray; 8] {
+    let first = unkind_ray(i, random, soup, planes);
+    if i.is_multiple_of(2) {
+        let spread = [0.0, 1e-6, 1e-3, 0.05][i / 2 % 4] * first.direction.abs().max_element();
+        std::array::from_fn(|_| Ray { direction: first.direction + random.direction() * spread, ..first })
+    } else {
+        std::array::from_fn(|lane| unkind_ray(8 * i + lane, random, soup, planes))
+    }
+}
+
+#[test]
+fn eight_rays_at_once_find_what_each_finds_alone() {
+    for (name, soup) in scenes() {
+        let tree = soup.build(2);
+        let planes = planes(&tree);
+        let mut random = Random(11);
+        let mut hits = 0;
+        for i in 0..600 {
+            let rays = packet(i, &mut random, &soup, &planes);
+            let lanes = [0xFF, 0xFF, 0x5B, 0x81][i % 4];
+            // In every third packet odd rays see only odd triangles.
+            let filtered = i % 3 == 0;
+            let accept = |lane: usize, hit: &Hit| !filtered || lane.is_multiple_of(2) || hit.triangle % 2 == 1;
+            let expected: [Option<Hit>; 8] = std::array::from_fn(|lane| {
+                let wanted = lanes >> lane & 1 == 1;
+                let judge = || brute_force_closest(soup.len(), &soup, &rays[lane], |hit| accept(lane, hit));
+                wanted.then(judge).flatten()
+            });
+            let blocked: u8 =
+                (0..8).filter(|&lane| expected[lane].is_some()).fold(0, |bits, lane| bits | 1 << lane);
+            hits += blocked.count_ones();
+            for kernel in kernels() {
+                let at = format!("{name}, packet {i}, {kernel:?}: {rays:?}");
+                let (view, expected) = (tree.view(), all_bits(&expected));
+                let judged = brute_force_closest_hits(kernel, soup.len(), &soup, &rays, lanes, accept);
+                assert_eq!(all_bits(&judged), expected, "brute force, {at}");
+                let found = view.closest_hits_where(kernel, &soup, &rays, lanes, accept);
+                assert_eq!(all_bits(&found), expected, "closest hits, {at}");
+                assert_eq!(
+                    view.any_hits_where(kernel, &soup, &rays, lanes, accept),
+                    blocked,
+                    "any hits, {at}"
+                );
+                if !filtered {
+                    let found = view.closest_hits(kernel, &soup, &rays, lanes);
+                    assert_eq!(all_bits(&found), expected, "all closest hits, {at}");
+                    assert_eq!(view.any_hits(kernel, &soup, &rays, lanes), blocked, "all any hits, {at}");
+                }
+            }
+            // Ranges that end at the hits hold nothing; ranges that end just behind them do.
+            for (end, behind) in [(0, 0), (1, blocked)] {
+                let until: [Ray; 8] = std::array::from_fn(|lane| {
+                    let t = |hit: Hit| if end == 0 { hit.t } else { hit.t.next_up() };
+                    Ray { t_max: expected[lane].map_or(rays[lane].t_max, t), ..rays[lane] }
+                });
+                let found = tree.view().any_hits_where(Kernel::wide(), &soup, &until, lanes, accept);
+                assert_eq!(found, behind, "{name}, packet {i}, ends {end}: {until:?}");
+                if !filtered {
+                    let found = tree.view().any_hits(Kernel::wide(), &soup, &until, lanes);
+                    assert_eq!(found, behind, "{name}, packet {i}, ends {end}: {until:?}");
+                }
+            }
+        }
+        assert!(hits > 200, "{name}: only {hits} of 4800 rays hit anything, so little was tested");
     }
 }

@@ -5,7 +5,8 @@ use crate::scene::{Renderer, lets_light_through};
 use crate::shade::glass_share;
 use crate::surface::paint_at;
 use crate::{Features, path};
-use tessera_geometry::{Ray, Vec3, rounding::gamma};
+use tessera_geometry::wide::{LANES, lanes_in};
+use tessera_geometry::{Hit, Ray, Vec3, rounding::gamma};
 use tessera_pack::{Light, LightKind};
 
 /// Light that arrives at a point if nothing is in its way.
@@ -77,41 +78,57 @@ fn cone(cosine: f32, cos_inner: f32, cos_outer: f32) -> f32 {
     x * x
 }
 
-/// The share of a light that reaches `origin`: 0 in shadow, 1 in the open, a colour behind glass or a veil.
+/// The share of a light that arrives along `ray`: 0 in shadow, 1 in the open, a colour behind glass or a veil.
 ///
-/// Occluders begin at the distance `clearance`, and any side of them is opaque. Holes pass light. Glass passes it unbent
-/// with its share times its colour, and what blends passes `1 - alpha` besides.
-pub(crate) fn transmittance(
+/// Occluders begin at the ray's `t_min`, and any side of them is opaque. Holes pass light. Glass passes it unbent with its share
+/// times its colour, and what blends passes `1 - alpha` besides.
+pub(crate) fn transmittance(scene: &Renderer<'_>, features: Features, ray: &Ray) -> Vec3 {
+    // Look for anything opaque: in most scenes the whole question.
+    let (tree, mesh) = (&scene.tree, &scene.mesh);
+    let blocked = match (scene.needs.see_through, scene.needs.holes) {
+        (false, false) => tree.any_hit(mesh, ray, |_| true),
+        (false, true) => tree.any_hit(mesh, ray, |hit| scene.is_solid(hit)),
+        (true, _) => tree.any_hit(mesh, ray, |hit| is_opaque(scene, hit)),
+    };
+    if blocked { Vec3::ZERO } else { filtered(scene, features, ray) }
+}
+
+/// [`transmittance`] along those of eight rays whose bit is set in `lanes`.
+pub(crate) fn transmittances(
     scene: &Renderer<'_>,
     features: Features,
-    origin: Vec3,
-    clearance: f32,
-    incoming: &Incoming,
-) -> Vec3 {
-    let ray = Ray { origin, direction: incoming.direction, t_min: clearance, t_max: incoming.reach };
-
-    // Look for anything opaque: in most scenes the whole question.
-    let needs = scene.needs;
-    let blocked = match (needs.see_through, needs.holes) {
-        (false, false) => scene.tree.any_hit(&scene.mesh, &ray, |_| true),
-        (false, true) => scene.tree.any_hit(&scene.mesh, &ray, |hit| scene.is_solid(hit)),
-        (true, _) => scene.tree.any_hit(&scene.mesh, &ray, |hit| {
-            !lets_light_through(scene.material(hit.triangle)) && scene.is_solid(hit)
-        }),
+    rays: &[Ray; LANES],
+    lanes: u8,
+) -> [Vec3; LANES] {
+    let (tree, mesh, kernel) = (&scene.tree, &scene.mesh, scene.kernel);
+    let blocked = match (scene.needs.see_through, scene.needs.holes) {
+        (false, false) => tree.any_hits(kernel, mesh, rays, lanes),
+        (false, true) => tree.any_hits_where(kernel, mesh, rays, lanes, |_, hit| scene.is_solid(hit)),
+        (true, _) => tree.any_hits_where(kernel, mesh, rays, lanes, |_, hit| is_opaque(scene, hit)),
     };
-    if blocked {
-        return Vec3::ZERO;
+    let mut shares = [Vec3::ZERO; LANES];
+    for lane in lanes_in(lanes & !blocked) {
+        shares[lane] = filtered(scene, features, &rays[lane]);
     }
+    shares
+}
 
-    // Then filter the light surface by surface, each once: a traversal may meet a triangle in several leaves, but (t,
-    // id) orders the hits whatever the tree.
+/// Whether no light passes at `hit`.
+fn is_opaque(scene: &Renderer<'_>, hit: &Hit) -> bool {
+    !lets_light_through(scene.material(hit.triangle)) && scene.is_solid(hit)
+}
+
+/// The share of a light along `ray`, which meets nothing opaque.
+fn filtered(scene: &Renderer<'_>, features: Features, ray: &Ray) -> Vec3 {
+    // Filter the light surface by surface, each once: a traversal may meet a triangle in several leaves, but (t, id) orders
+    // the hits whatever the tree.
     let mut passed = Vec3::ONE;
-    if !needs.see_through {
+    if !scene.needs.see_through {
         return passed;
     }
-    let mut after = After::start(clearance);
+    let mut after = After::start(ray.t_min);
     for _ in 0..MAX_LAYERS {
-        let Some(hit) = path::nearest(scene, &ray, after) else { return passed };
+        let Some(hit) = path::nearest(scene, ray, after) else { return passed };
         let paint = paint_at(scene, &hit);
         let through = paint.base * (glass_share(&paint, features) * paint.alpha);
         passed *= through + Vec3::splat(1.0 - paint.alpha);

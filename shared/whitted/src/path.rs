@@ -13,9 +13,10 @@
 //!   at most [`MAX_LAYERS`] of them; behind the last one it is black and opaque.
 
 use crate::scene::Renderer;
-use crate::shade::{local_light, reflect, terms};
-use crate::surface::{clearance, offset_origin, paint_at, surface_at};
-use crate::{Features, FrameParams, RayCounts};
+use crate::shade::{View, local_light, local_lights, reflect};
+use crate::surface::{clearance, offset_origin, paint_at};
+use crate::{FrameParams, RayCounts};
+use tessera_geometry::wide::{LANES, lanes_in};
 use tessera_geometry::{Hit, Ray, Vec3};
 
 /// Weight in a pixel below which a ray is not traced.
@@ -174,83 +175,135 @@ fn nearest_accepted(
     }
 }
 
-/// Follows the ray `eye` and everything behind it.
+/// Follows those of eight rays from the eye whose bit is set in `lanes`, and everything behind them. The first surfaces of all
+/// rays are looked for together, and so are their shadows; paths part there.
 pub(crate) fn trace(
     scene: &Renderer<'_>,
     params: &FrameParams,
-    eye: &Ray,
+    eyes: &[Ray; LANES],
+    lanes: u8,
     stack: &mut PathStack,
     counts: &mut RayCounts,
-) -> Seen {
-    // Start with the ray from the eye alone.
-    let max_depth = params.max_depth.min(FrameParams::MAX_DEPTH);
-    let features: Features = params.features;
-    let (mut color, mut alpha, mut first) = (Vec3::ZERO, 1.0, None);
-    stack.len = 0;
-    counts.primary += stack.push(Segment {
-        origin: eye.origin,
-        direction: eye.direction,
-        after: After::EYE,
-        weight: Vec3::ONE,
-        depth: 0,
-        layers: 0,
-    });
+) -> [Seen; LANES] {
+    // Find what the rays meet first, and shade it by itself.
+    counts.primary += u64::from(lanes.count_ones());
+    let hits = first_hits(scene, eyes, lanes);
+    let mut views = [const { None }; LANES];
+    for lane in lanes_in(lanes) {
+        let direction = eyes[lane].direction;
+        views[lane] = hits[lane].map(|hit| View::new(scene, params.features, hit, direction));
+    }
+    let lights = local_lights(scene, params.features, &views, counts);
 
-    while let Some(segment) = stack.pop() {
-        // Find what the ray meets, or what lies behind everything. Where nothing bent the ray, nothing covers the
-        // pixel.
-        let Segment { origin, direction, after, weight, depth, layers } = segment;
-        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
-        let Some(hit) = nearest_seen(scene, &ray, after) else {
-            color += weight * scene.backdrop.radiance(direction);
-            if depth == 0 && scene.backdrop.is_none() {
-                alpha = 1.0 - weight.max_element();
-            }
-            continue;
-        };
-
-        // Shade it by itself. What covers nothing is not the surface that is seen.
-        let surface = surface_at(scene, &hit, direction);
-        let paint = paint_at(scene, &hit);
-        if depth == 0 && first.is_none() && paint.alpha > 0.0 {
-            first = Some(hit);
+    // Follow each path from there.
+    let mut seen = [Seen { color: Vec3::ZERO, alpha: 1.0, first: None }; LANES];
+    for lane in lanes_in(lanes) {
+        let Ray { origin, direction, .. } = eyes[lane];
+        let (after, weight) = (After::EYE, Vec3::ONE);
+        let mut path = Path { scene, params, seen: &mut seen[lane], stack, counts };
+        path.stack.len = 0;
+        let segment = Segment { origin, direction, after, weight, depth: 0, layers: 0 };
+        match &views[lane] {
+            None => path.leave(&segment),
+            Some(view) => path.meet(&segment, view, lights[lane]),
         }
-        let terms = terms(&paint, &surface, direction, features);
-        let covered = weight * paint.alpha;
+        path.follow();
+    }
+    seen
+}
+
+/// [`nearest_seen`] along rays from the eye.
+fn first_hits(scene: &Renderer<'_>, eyes: &[Ray; LANES], lanes: u8) -> [Option<Hit>; LANES] {
+    let (tree, mesh, kernel) = (&scene.tree, &scene.mesh, scene.kernel);
+    if scene.needs.hidden_backs {
+        let shows =
+            |lane: usize, hit: &Hit| scene.shows_side(hit, eyes[lane].direction) && scene.is_solid(hit);
+        tree.closest_hits_where(kernel, mesh, eyes, lanes, shows)
+    } else if scene.needs.holes {
+        tree.closest_hits_where(kernel, mesh, eyes, lanes, |_, hit| scene.is_solid(hit))
+    } else {
+        tree.closest_hits(kernel, mesh, eyes, lanes)
+    }
+}
+
+/// One path on its way.
+struct Path<'a, 'p> {
+    scene: &'a Renderer<'p>,
+    params: &'a FrameParams,
+    seen: &'a mut Seen,
+    stack: &'a mut PathStack,
+    counts: &'a mut RayCounts,
+}
+
+impl Path<'_, '_> {
+    /// Traces the rays that wait, and those behind them.
+    fn follow(&mut self) {
+        let (scene, features) = (self.scene, self.params.features);
+        while let Some(segment) = self.stack.pop() {
+            let Segment { origin, direction, after, weight, .. } = segment;
+            let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+            let Some(hit) = nearest_seen(scene, &ray, after) else {
+                self.leave(&segment);
+                continue;
+            };
+            let view = View::new(scene, features, hit, direction);
+            let is_covered = weight * view.alpha != Vec3::ZERO;
+            let light =
+                if is_covered { local_light(scene, features, &view, self.counts) } else { Vec3::ZERO };
+            self.meet(&segment, &view, light);
+        }
+    }
+
+    /// The ray of `segment` meets nothing: it sees what lies behind everything. Where nothing bent it, nothing covers the pixel.
+    fn leave(&mut self, &Segment { direction, weight, depth, .. }: &Segment) {
+        self.seen.color += weight * self.scene.backdrop.radiance(direction);
+        if depth == 0 && self.scene.backdrop.is_none() {
+            self.seen.alpha = 1.0 - weight.max_element();
+        }
+    }
+
+    /// The ray of `segment` meets a surface whose own light is `light`.
+    fn meet(&mut self, &segment: &Segment, view: &View, light: Vec3) {
+        // What covers nothing is not the surface that is seen.
+        let Segment { direction, weight, depth, layers, .. } = segment;
+        let View { hit, surface, alpha, terms, .. } = view;
+        if depth == 0 && self.seen.first.is_none() && *alpha > 0.0 {
+            self.seen.first = Some(*hit);
+        }
+        let covered = weight * *alpha;
         if covered != Vec3::ZERO {
-            color += covered * local_light(scene, features, &surface, &terms, direction, counts);
+            self.seen.color += covered * light;
         }
 
         // Go straight on past the uncovered part and through unbent glass.
-        let mut straight = weight * (1.0 - paint.alpha);
+        let mut straight = weight * (1.0 - alpha);
         if terms.passage == Passage::Straight {
             straight += covered * terms.passed;
         }
         if layers < MAX_LAYERS {
-            let after = After::hit(&hit);
-            counts.refraction +=
-                stack.push(Segment { after, weight: straight, layers: layers + 1, ..segment });
+            let after = After::hit(hit);
+            self.counts.refraction +=
+                self.stack.push(Segment { after, weight: straight, layers: layers + 1, ..segment });
         }
-        if depth >= max_depth {
-            continue;
+        if depth >= self.params.max_depth.min(FrameParams::MAX_DEPTH) {
+            return;
         }
 
         // Go through bent glass.
-        let after = After::start(clearance(&surface));
+        let after = After::start(clearance(surface));
         let ray = Segment { after, depth: depth + 1, ..segment };
         if let Passage::Bent(bent) = terms.passage {
-            let origin = offset_origin(&surface, -surface.facing);
+            let origin = offset_origin(surface, -surface.facing);
             let weight = covered * terms.passed;
-            counts.refraction += stack.push(Segment { origin, direction: bent, weight, ..ray });
+            self.counts.refraction += self.stack.push(Segment { origin, direction: bent, weight, ..ray });
         }
 
         // Follow the mirror.
         if terms.mirror != Vec3::ZERO {
-            let origin = offset_origin(&surface, surface.facing);
-            let direction = reflect(direction, &surface);
+            let origin = offset_origin(surface, surface.facing);
+            let direction = reflect(direction, surface);
             let weight = covered * terms.mirror;
-            counts.reflection += stack.push(Segment { origin, direction, weight, ..ray });
+            self.counts.reflection += self.stack.push(Segment { origin, direction, weight, ..ray });
         }
     }
-    Seen { color, alpha, first }
 }

@@ -6,7 +6,8 @@ use crate::sample::{offset_in_pixel, pixel_seed};
 use crate::scene::Renderer;
 use crate::surface::geometric_normal;
 use crate::{FrameParams, PixelFormat, RayCounts};
-use tessera_geometry::{Hit, Vec3};
+use tessera_geometry::wide::{LANES, lanes_in};
+use tessera_geometry::{Hit, Vec2, Vec3};
 
 /// Names the arithmetic: frames of one class are equal bit for bit. Raise the number with every change of a result.
 pub const NUMERIC_CLASS: &str = "cpu-2";
@@ -41,58 +42,105 @@ impl Renderer<'_> {
         assert_eq!(out.len(), block.byte_len(params.format), "the buffer does not fit {block:?}");
         let mut counts = RayCounts::default();
         let mut stack = PathStack::new();
-        let columns = block.x..block.x + block.width;
-        let pixels = (block.y..block.y + block.height).flat_map(|y| columns.clone().map(move |x| (x, y)));
-        for ((x, y), bytes) in pixels.zip(out.chunks_exact_mut(params.format.bytes_per_pixel())) {
-            let seen = pixel(self, params, x, y, &mut stack, &mut counts);
-            match params.format {
-                PixelFormat::Rgba8 => bytes.copy_from_slice(&straight_codes(&seen, 255.0).map(|c| c as u8)),
-                PixelFormat::Rgba16 => {
-                    write_words(bytes, straight_codes(&seen, 65535.0).map(u16::to_le_bytes))
+        let pixel_bytes = params.format.bytes_per_pixel();
+        for packet in packets(block) {
+            let seen = packet_of_pixels(self, params, &packet, &mut stack, &mut counts);
+            for lane in lanes_in(packet.lanes) {
+                let (x, y) = packet.pixel(lane);
+                let place = (y - block.y) as usize * block.width as usize + (x - block.x) as usize;
+                let bytes = &mut out[place * pixel_bytes..][..pixel_bytes];
+                let seen = &seen[lane];
+                match params.format {
+                    PixelFormat::Rgba8 => {
+                        bytes.copy_from_slice(&straight_codes(seen, 255.0).map(|c| c as u8))
+                    }
+                    PixelFormat::Rgba16 => {
+                        write_words(bytes, straight_codes(seen, 65535.0).map(u16::to_le_bytes))
+                    }
+                    PixelFormat::Layers => write_words(bytes, layers(self, seen)),
                 }
-                PixelFormat::Layers => write_words(bytes, layers(self, &seen)),
             }
         }
         counts
     }
 }
 
-/// The mean of a pixel's samples, added up in their order. `first` is the surface behind the pixel's centre; it is
-/// looked for only where the format shows it.
-fn pixel(
-    scene: &Renderer<'_>,
-    params: &FrameParams,
+/// Pixels whose rays are traced together: four columns, two rows.
+struct PixelPacket {
     x: u32,
     y: u32,
+    /// Those that lie in the block.
+    lanes: u8,
+}
+
+impl PixelPacket {
+    const COLUMNS: u32 = 4;
+    const ROWS: u32 = LANES as u32 / Self::COLUMNS;
+
+    fn pixel(&self, lane: usize) -> (u32, u32) {
+        (self.x + lane as u32 % Self::COLUMNS, self.y + lane as u32 / Self::COLUMNS)
+    }
+}
+
+/// Packets that cover `block`, every pixel once.
+fn packets(block: PixelBlock) -> impl Iterator<Item = PixelPacket> {
+    let rows = (0..block.height).step_by(PixelPacket::ROWS as usize);
+    rows.flat_map(move |y| {
+        (0..block.width).step_by(PixelPacket::COLUMNS as usize).map(move |x| {
+            let columns = PixelPacket::COLUMNS.min(block.width - x);
+            let row = (1u8 << columns) - 1;
+            let below = if y + 1 < block.height { row << PixelPacket::COLUMNS } else { 0 };
+            PixelPacket { x: block.x + x, y: block.y + y, lanes: row | below }
+        })
+    })
+}
+
+/// The mean of each pixel's samples, added up in their order. `first` is the surface behind a pixel's centre; it is
+/// looked for only where the format shows it.
+fn packet_of_pixels(
+    scene: &Renderer<'_>,
+    params: &FrameParams,
+    packet: &PixelPacket,
     stack: &mut PathStack,
     counts: &mut RayCounts,
-) -> Seen {
-    // Send one sample through the centre.
-    let (left, top) = (x as f32, y as f32);
+) -> [Seen; LANES] {
+    // Send one sample through the centres.
     let camera = &params.camera;
-    let centre = camera.ray(left + 0.5, top + 0.5, params.width, params.height);
+    let ray_at = |lane: usize, offset: Vec2| {
+        let (x, y) = packet.pixel(lane);
+        camera.ray(x as f32 + offset.x, y as f32 + offset.y, params.width, params.height)
+    };
+    let centres = std::array::from_fn(|lane| ray_at(lane, Vec2::splat(0.5)));
     if params.samples <= 1 {
-        return trace(scene, params, &centre, stack, counts);
+        return trace(scene, params, &centres, packet.lanes, stack, counts);
     }
 
     // Or add up many.
-    let seed = pixel_seed(params.frame, x, y);
-    let (mut color, mut alpha) = (Vec3::ZERO, 0.0);
+    let seeds: [u32; LANES] = std::array::from_fn(|lane| {
+        let (x, y) = packet.pixel(lane);
+        pixel_seed(params.frame, x, y)
+    });
+    let mut sums = [Seen { color: Vec3::ZERO, alpha: 0.0, first: None }; LANES];
     for index in 0..params.samples {
-        let offset = offset_in_pixel(index, params.samples, seed);
-        let ray = camera.ray(left + offset.x, top + offset.y, params.width, params.height);
-        let seen = trace(scene, params, &ray, stack, counts);
-        color += seen.color;
-        alpha += seen.alpha;
+        let rays =
+            std::array::from_fn(|lane| ray_at(lane, offset_in_pixel(index, params.samples, seeds[lane])));
+        let seen = trace(scene, params, &rays, packet.lanes, stack, counts);
+        for (sum, seen) in sums.iter_mut().zip(seen) {
+            sum.color += seen.color;
+            sum.alpha += seen.alpha;
+        }
     }
-    let first = if params.format == PixelFormat::Layers {
-        counts.primary += 1;
-        first_seen(scene, &centre)
-    } else {
-        None
-    };
     let share = 1.0 / params.samples as f32;
-    Seen { color: color * share, alpha: alpha * share, first }
+    for lane in lanes_in(packet.lanes) {
+        let sum = &mut sums[lane];
+        if params.format == PixelFormat::Layers {
+            counts.primary += 1;
+            sum.first = first_seen(scene, &centres[lane]);
+        }
+        sum.color *= share;
+        sum.alpha *= share;
+    }
+    sums
 }
 
 /// sRGB codes of the colour behind the premultiplied one, and of alpha.

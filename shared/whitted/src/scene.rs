@@ -4,7 +4,7 @@ use crate::environment::Backdrop;
 use crate::surface::{geometric_normal, meets_front};
 use crate::texture::{Coding, Images};
 use tessera_geometry::{Hit, Vec2, Vec3};
-use tessera_kdtree::TreeView;
+use tessera_kdtree::{Kernel, TreeView};
 use tessera_pack::{Light, Material, MaterialFlags, MeshView, NO_TEXTURE, Pack};
 
 /// A pack's views and what its content asks of the kernel, found once: O(materials), nothing per triangle.
@@ -19,6 +19,7 @@ pub struct Renderer<'a> {
     /// World units in a local unit.
     pub(crate) step: f64,
     pub(crate) needs: Needs,
+    pub(crate) kernel: Kernel,
     pack: &'a Pack,
     materials: &'a [Material],
     images: Images<'a>,
@@ -40,8 +41,13 @@ pub(crate) struct Needs {
 }
 
 impl<'a> Renderer<'a> {
-    /// Prepares `pack`.
+    /// Prepares `pack`, to be traced by the best kernel of this machine.
     pub fn new(pack: &'a Pack) -> Self {
+        Self::with_kernel(pack, Kernel::auto())
+    }
+
+    /// Prepares `pack`, to be traced by `kernel`; the pixels are the same with each.
+    pub fn with_kernel(pack: &'a Pack, kernel: Kernel) -> Self {
         let (mesh, materials) = (pack.mesh(), pack.materials());
         let images = Images::new(pack.textures(), pack.texels());
         Self {
@@ -59,6 +65,7 @@ impl<'a> Renderer<'a> {
                 uvs: mesh.has_uvs() && materials.iter().any(is_textured),
                 colors: mesh.has_colors(),
             },
+            kernel,
             pack,
             materials,
             images,

@@ -48,10 +48,12 @@
 use crate::Features;
 use crate::light;
 use crate::scene::Renderer;
-use crate::surface::{Paint, Surface, clearance, offset_origin};
+use crate::surface::{Paint, Surface, clearance, offset_origin, paint_at, surface_at};
 use crate::{RayCounts, path::Passage};
 use std::f32::consts::{FRAC_1_PI, PI};
-use tessera_geometry::Vec3;
+use tessera_geometry::wide::{LANES, lanes_in};
+use tessera_geometry::{Hit, Ray, Vec3};
+use tessera_pack::Light;
 
 /// Whitted's terms of one hit. Weights are per channel in [0, 1].
 #[derive(Clone, Copy, Debug)]
@@ -207,45 +209,121 @@ fn highlight(cosine: f32, exponent: f32) -> f32 {
     scale * libm::powf(cosine.max(0.0), exponent)
 }
 
+/// A surface as a ray sees it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct View {
+    pub hit: Hit,
+    /// Of the ray.
+    pub direction: Vec3,
+    pub surface: Surface,
+    /// [`Paint::alpha`].
+    pub alpha: f32,
+    pub terms: Terms,
+}
+
+impl View {
+    /// What a ray along `direction` sees at `hit`.
+    pub(crate) fn new(scene: &Renderer<'_>, features: Features, hit: Hit, direction: Vec3) -> Self {
+        let surface = surface_at(scene, &hit, direction);
+        let paint = paint_at(scene, &hit);
+        let terms = terms(&paint, &surface, direction, features);
+        Self { hit, direction, surface, alpha: paint.alpha, terms }
+    }
+
+    /// What needs no light, and whether lights matter.
+    fn unlit_part(&self, scene: &Renderer<'_>) -> (Vec3, bool) {
+        let terms = &self.terms;
+        let sum = terms.emissive + terms.ambient * scene.ambient;
+        (sum, terms.diffuse != Vec3::ZERO || terms.f90 != 0.0)
+    }
+
+    /// What `light` sends from here towards the viewer if nothing is in its way, and the ray that asks; `None` when that is nothing.
+    fn sent_back(&self, scene: &Renderer<'_>, light: &Light, origin: Vec3) -> Option<(Vec3, Ray)> {
+        // The light must shine on the viewer's side of both normals.
+        let (terms, surface) = (&self.terms, &self.surface);
+        let incoming = light::incoming(light, origin, scene.step)?;
+        let cosine = incoming.direction.dot(surface.shading);
+        if cosine <= 0.0 || incoming.direction.dot(surface.facing) <= 0.0 {
+            return None;
+        }
+
+        // Ask for its shadow only if it would be seen.
+        let reflected = reflected(terms, surface, incoming.direction, self.direction);
+        let sent_back = incoming.irradiance * (reflected * cosine);
+        let t_min = clearance(surface);
+        let ray = Ray { origin, direction: incoming.direction, t_min, t_max: incoming.reach };
+        (sent_back != Vec3::ZERO).then_some((sent_back, ray))
+    }
+}
+
 /// What the surface sends back along `-direction` without further mirror or refracted rays: emission, ambient light,
 /// and each light in turn unless it is in shadow.
 pub(crate) fn local_light(
     scene: &Renderer<'_>,
     features: Features,
-    surface: &Surface,
-    terms: &Terms,
-    direction: Vec3,
+    view: &View,
     counts: &mut RayCounts,
 ) -> Vec3 {
-    // Start with what needs no light.
-    let mut sum = terms.emissive + terms.ambient * scene.ambient;
-    if terms.diffuse == Vec3::ZERO && terms.f90 == 0.0 {
+    let (mut sum, is_lit) = view.unlit_part(scene);
+    if !is_lit {
         return sum;
     }
-
-    // Add every light that shines on the viewer's side of both normals.
-    let origin = offset_origin(surface, surface.facing);
+    let origin = offset_origin(&view.surface, view.surface.facing);
     for light in scene.lights {
-        let Some(incoming) = light::incoming(light, origin, scene.step) else { continue };
-        let cosine = incoming.direction.dot(surface.shading);
-        if cosine <= 0.0 || incoming.direction.dot(surface.facing) <= 0.0 {
-            continue;
-        }
-
-        // Ask for its shadow only if it would be seen.
-        let sent_back =
-            incoming.irradiance * (reflected(terms, surface, incoming.direction, direction) * cosine);
-        if sent_back == Vec3::ZERO {
-            continue;
-        }
+        let Some((sent_back, ray)) = view.sent_back(scene, light, origin) else { continue };
         if features.shadows {
             counts.shadow += 1;
-            sum += sent_back * light::transmittance(scene, features, origin, clearance(surface), &incoming);
+            sum += sent_back * light::transmittance(scene, features, &ray);
         } else {
             sum += sent_back;
         }
     }
     sum
+}
+
+/// [`local_light`] of the views of a packet that cover anything, with their shadow rays towards each light traced together.
+pub(crate) fn local_lights(
+    scene: &Renderer<'_>,
+    features: Features,
+    views: &[Option<View>; LANES],
+    counts: &mut RayCounts,
+) -> [Vec3; LANES] {
+    let mut sums = [Vec3::ZERO; LANES];
+    let mut origins = [Vec3::ZERO; LANES];
+    let mut lit = 0;
+    for (lane, view) in views.iter().enumerate() {
+        let Some(view) = view.as_ref().filter(|view| view.alpha != 0.0) else { continue };
+        let (sum, is_lit) = view.unlit_part(scene);
+        sums[lane] = sum;
+        origins[lane] = offset_origin(&view.surface, view.surface.facing);
+        lit |= u8::from(is_lit) << lane;
+    }
+    for light in scene.lights {
+        // Collect the rays that ask for this light.
+        let idle = Ray { origin: Vec3::ZERO, direction: Vec3::ZERO, t_min: 0.0, t_max: 0.0 };
+        let (mut sent, mut rays, mut asked) = ([Vec3::ZERO; LANES], [idle; LANES], 0u8);
+        for lane in lanes_in(lit) {
+            let Some(view) = &views[lane] else { continue };
+            if let Some((sent_back, ray)) = view.sent_back(scene, light, origins[lane]) {
+                (sent[lane], rays[lane]) = (sent_back, ray);
+                asked |= 1 << lane;
+            }
+        }
+
+        // Add what arrives.
+        if features.shadows {
+            counts.shadow += u64::from(asked.count_ones());
+            let shares = light::transmittances(scene, features, &rays, asked);
+            for lane in lanes_in(asked) {
+                sums[lane] += sent[lane] * shares[lane];
+            }
+        } else {
+            for lane in lanes_in(asked) {
+                sums[lane] += sent[lane];
+            }
+        }
+    }
+    sums
 }
 
 /// Share of the light from `to_light` that goes to the viewer: diffuse under a reflecting coat, and the coat's
