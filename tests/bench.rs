@@ -27,7 +27,7 @@ fn rays_prints_a_line_for_each_peer_view_kind_and_thread_count() {
         assert!(number("hits") <= number("rays") && number("differs") <= number("rays") / 100.0, "{line}");
     }
     assert!(counts.contains_key("obvhs-0.4/cwbvh-medium/single"), "{counts:?}");
-    assert!(counts.contains_key("tessera/kd0-plain/scalar"), "{counts:?}");
+    assert!(counts.contains_key("tessera/kd0-plain/wide8"), "{counts:?}");
     assert!(counts.values().all(|&n| n == 3 * 3 * 2), "{counts:?}");
 
     // Number of threads and references change nothing about what is hit.

@@ -114,7 +114,8 @@ fn eight_rays_at_once_find_what_each_finds_alone() {
             let lanes = [0xFF, 0xFF, 0x5B, 0x81][i % 4];
             // In every third packet odd rays see only odd triangles.
             let filtered = i % 3 == 0;
-            let accept = |lane: usize, hit: &Hit| !filtered || lane.is_multiple_of(2) || hit.triangle % 2 == 1;
+            let accept =
+                |lane: usize, hit: &Hit| !filtered || lane.is_multiple_of(2) || hit.triangle % 2 == 1;
             let expected: [Option<Hit>; 8] = std::array::from_fn(|lane| {
                 let wanted = lanes >> lane & 1 == 1;
                 let judge = || brute_force_closest(soup.len(), &soup, &rays[lane], |hit| accept(lane, hit));

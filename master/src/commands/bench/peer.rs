@@ -4,7 +4,8 @@ use super::clock::{Cost, Watch};
 use super::mesh::Mesh;
 use super::ray_set::{WorldHit, WorldRay};
 use crate::commands::CommandError;
-use tessera_geometry::{LocalFrame, Ray};
+use tessera_geometry::wide::LANES;
+use tessera_geometry::{Hit, LocalFrame, Ray};
 use tessera_kdtree::BuildOptions;
 use tessera_pack::{Pack, PackOptions, PackStage, Plain, build_pack_with, format::Section};
 
@@ -30,14 +31,24 @@ pub trait Peer: Sync {
 pub enum Kernel {
     /// One ray after the other.
     Scalar,
+    /// Eight rays at once, with the best instructions of this machine.
+    Wide,
 }
 
 impl Kernel {
-    pub const ALL: [Self; 1] = [Self::Scalar];
+    pub const ALL: [Self; 2] = [Self::Scalar, Self::Wide];
 
     fn name(self) -> &'static str {
         match self {
             Self::Scalar => "scalar",
+            Self::Wide => "wide8",
+        }
+    }
+
+    fn of_tree(self) -> tessera_kdtree::Kernel {
+        match self {
+            Self::Scalar => tessera_kdtree::Kernel::Scalar,
+            Self::Wide => tessera_kdtree::Kernel::wide(),
         }
     }
 }
@@ -46,6 +57,7 @@ impl Kernel {
 pub struct Ours {
     pack: Pack,
     frame: LocalFrame,
+    voxels_per_unit: f64,
     max_refs: u32,
     is_plain: bool,
     kernel: Kernel,
@@ -77,13 +89,14 @@ impl Ours {
         let (packed, _) = Cost::of(1, || build_pack_with(input, &options, on_stage))?;
         let (pack, _) = packed.map_err(|e| CommandError::Failed(format!("{}: {e}", mesh.name)))?;
         let frame = pack.frame();
-        let peer = |&kernel| Self { pack: pack.clone(), frame, max_refs, is_plain, kernel, build };
+        let voxels_per_unit = frame.step.recip();
+        let peer =
+            |&kernel| Self { pack: pack.clone(), frame, voxels_per_unit, max_refs, is_plain, kernel, build };
         Ok(kernels.iter().map(peer).collect())
     }
 
     fn to_local(&self, ray: &WorldRay) -> Ray {
-        let step = self.frame.step;
-        let local = |t: f32| (f64::from(t) / step) as f32;
+        let local = |t: f32| (f64::from(t) * self.voxels_per_unit) as f32;
         Ray {
             origin: self.frame.to_local(ray.origin.as_dvec3()),
             direction: ray.direction,
@@ -92,7 +105,13 @@ impl Ours {
         }
     }
 
-    fn to_world(&self, hit: Option<tessera_geometry::Hit>) -> WorldHit {
+    /// Up to eight rays as a packet, and which of its lanes they are.
+    fn packet(&self, rays: &[WorldRay]) -> ([Ray; LANES], u8) {
+        let local = std::array::from_fn(|lane| self.to_local(&rays[lane.min(rays.len() - 1)]));
+        (local, u8::MAX >> (LANES - rays.len()))
+    }
+
+    fn to_world(&self, hit: Option<Hit>) -> WorldHit {
         hit.map_or(WorldHit::MISS, |hit| WorldHit {
             t: (f64::from(hit.t) * self.frame.step) as f32,
             triangle: self.pack.original_id(hit.triangle),
@@ -123,22 +142,36 @@ impl Peer for Ours {
     }
 
     fn closest(&self, rays: &[WorldRay], hits: &mut [WorldHit]) {
-        let (tree, mesh) = (self.pack.tree(), self.pack.mesh());
+        let (tree, mesh, kernel) = (self.pack.tree(), self.pack.mesh(), self.kernel.of_tree());
         match self.kernel {
             Kernel::Scalar => {
                 for (ray, hit) in rays.iter().zip(hits) {
                     *hit = self.to_world(tree.closest_hit(&mesh, &self.to_local(ray), |_| true));
                 }
             }
+            Kernel::Wide => {
+                for (rays, hits) in rays.chunks(LANES).zip(hits.chunks_mut(LANES)) {
+                    let (packet, lanes) = self.packet(rays);
+                    let found = tree.closest_hits(kernel, &mesh, &packet, lanes);
+                    hits.iter_mut().zip(found).for_each(|(hit, found)| *hit = self.to_world(found));
+                }
+            }
         }
     }
 
     fn occluded(&self, rays: &[WorldRay], blocked: &mut [u8]) {
-        let (tree, mesh) = (self.pack.tree(), self.pack.mesh());
+        let (tree, mesh, kernel) = (self.pack.tree(), self.pack.mesh(), self.kernel.of_tree());
         match self.kernel {
             Kernel::Scalar => {
                 for (ray, blocked) in rays.iter().zip(blocked) {
                     *blocked = tree.any_hit(&mesh, &self.to_local(ray), |_| true).into();
+                }
+            }
+            Kernel::Wide => {
+                for (rays, blocked) in rays.chunks(LANES).zip(blocked.chunks_mut(LANES)) {
+                    let (packet, lanes) = self.packet(rays);
+                    let found = tree.any_hits(kernel, &mesh, &packet, lanes);
+                    (0..).zip(blocked).for_each(|(lane, blocked)| *blocked = found >> lane & 1);
                 }
             }
         }
