@@ -4,6 +4,7 @@
 use crate::support::Folder;
 use std::sync::{Arc, Mutex};
 use tessera_geometry::{LocalCamera, Vec3};
+use tessera_master::coordinator::BeginError;
 use tessera_master::{
     Balance, Cluster, ClusterConfig, FrameJob, FrameResult, Link, LoadError, LocalWorkers, PixelFormat,
     RenderError, StartError, Workers,
@@ -263,7 +264,10 @@ async fn what_cannot_be_done_is_said() {
     let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("it joins");
     cluster.load(&pack, |_| ()).await.expect("it takes the pack");
     let wild = FrameJob { tile: 0, ..job };
-    assert!(matches!(cluster.render(&wild, |_| ()).await, Err(RenderError::Job(FrameError::Tile))));
+    assert!(matches!(
+        cluster.render(&wild, |_| ()).await,
+        Err(RenderError::Job(BeginError::Job(FrameError::Tile)))
+    ));
     let frame = cluster.render(&FrameJob { tile: 64, ..wild }, |_| ()).await;
     assert!(frame.is_ok(), "a refused job does no harm: {frame:?}");
 }

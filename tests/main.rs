@@ -1,5 +1,6 @@
 //! Promises that are kept by the whole: the built binary, the prepared pack, the workspace's own rules.
 
+mod bad_input;
 mod bench;
 mod cli;
 mod cluster;

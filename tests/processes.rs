@@ -105,15 +105,15 @@ mod ends {
     const ENDLESS: &str = "--size 512x512 --spp 65536 -v";
 
     #[test]
-    fn ctrl_c_leaves_no_process_and_no_file() {
+    fn ctrl_c_and_sigterm_leave_no_process_and_no_file() {
         let folder = packed_box();
         let before = folder.names();
-        for workers in [0, 3] {
+        for (name, workers) in [("INT", 0), ("INT", 3), ("TERM", 0), ("TERM", 3)] {
             let mut run = render(&folder, &format!("{ENDLESS} --workers {workers}")).in_own_group().start();
             run.wait_for("all workers hold the scene");
             let children = run.children();
             assert_eq!(children.len(), workers);
-            signal_group("INT", run.id());
+            signal_group(name, run.id());
             let outcome = run.finish();
             assert_eq!(outcome.code, Some(130), "{outcome:?}");
             assert!(outcome.stderr.ends_with("tessera: error: interrupted\n"), "{outcome:?}");
@@ -127,10 +127,12 @@ mod ends {
         let folder = Folder::new();
         folder.write("large.toml", "[generate]\nkind = \"cornell\"\ntriangles = 2000000\n");
         let before = folder.names();
-        for args in ["scene pack large.toml --out a.tpack -v", "render large.toml --out a.png -v"] {
+        for (name, args) in
+            [("INT", "scene pack large.toml --out a.tpack -v"), ("TERM", "render large.toml --out a.png -v")]
+        {
             let mut run = Tessera::new(args.split(' ')).within(folder.path()).start();
             run.wait_for("preparing large.toml");
-            signal("INT", run.id());
+            signal(name, run.id());
             let outcome = run.finish();
             assert_eq!(outcome.code, Some(130), "{outcome:?}");
             assert!(outcome.stderr.ends_with("tessera: error: interrupted\n"), "{outcome:?}");

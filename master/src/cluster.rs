@@ -3,7 +3,7 @@
 use crate::{
     FrameJob, FrameResult, Link, Progress, Timings, Traffic,
     admission::{Admission, Admitted},
-    coordinator::{Coordinator, Event, FrameStatus, Outcome, Output},
+    coordinator::{BeginError, Coordinator, Event, FrameStatus, Outcome, Output},
     door::{self, Door, Guest},
     line::{Counters, Input, Line, Tile},
     net, spawn,
@@ -550,9 +550,9 @@ pub enum LoadError {
 /// Why there is no image.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
-    /// The job is out of range.
-    #[error("{0}")]
-    Job(#[from] tessera_wire::FrameError),
+    /// The job is out of range, or its image too large.
+    #[error(transparent)]
+    Job(#[from] BeginError),
     /// `load` has not succeeded.
     #[error("no scene is loaded")]
     NoPack,

@@ -366,7 +366,7 @@ mod tests {
     fn what_we_write_we_read() {
         let folder = tempfile::tempdir().unwrap();
         let save = |name: &str, format: PixelFormat, pixel: &[u8]| {
-            let mut image = FrameBuffer::new(2, 1, format);
+            let mut image = FrameBuffer::new(2, 1, format).unwrap();
             image.put(1, 0, 1, 1, pixel).unwrap();
             let path = folder.path().join(name);
             image.write(&OutputFile::check(&path).unwrap()).unwrap();

@@ -6,6 +6,7 @@
 use crate::{
     FrameBuffer, FrameJob, Timings, WorkerReport,
     dispatch::{Assignment, Dispatch, Violation},
+    image::NoRoom,
     session::{Session, Step},
 };
 use std::{
@@ -64,6 +65,17 @@ pub enum FrameStatus {
         /// Tiles of the frame.
         total: u32,
     },
+}
+
+/// Why a frame does not begin.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum BeginError {
+    /// The job is out of range.
+    #[error(transparent)]
+    Job(#[from] FrameError),
+    /// Its image does not fit this machine.
+    #[error(transparent)]
+    NoRoom(#[from] NoRoom),
 }
 
 /// A complete frame; what the driver adds to it becomes a [`crate::FrameResult`].
@@ -256,11 +268,13 @@ impl Coordinator {
     /// Begins a frame of the loaded pack with all workers that hold it; those that hold it later take part from then on.
     ///
     /// # Errors
-    /// The job is out of range. Without a loaded pack or holders the frame begins, and fails unless a worker comes in time.
-    pub fn begin(&mut self, job: &FrameJob, now: Duration) -> Result<FrameId, FrameError> {
+    /// The job is out of range, or its image too large for this machine. Without a loaded pack or holders the frame begins, and fails
+    /// unless a worker comes in time.
+    pub fn begin(&mut self, job: &FrameJob, now: Duration) -> Result<FrameId, BeginError> {
         let id = FrameId(self.frames_begun + 1);
         let frame = job.to_wire(id, self.pack.map_or(PackId([0; 32]), |(pack, _)| pack));
         let grid = frame.check()?;
+        let image = FrameBuffer::new(job.width, job.height, job.format)?;
         self.frames_begun += 1;
         let workers: Vec<_> = self.holders().collect();
         let report =
@@ -273,7 +287,7 @@ impl Coordinator {
             frame,
             grid,
             dispatch,
-            image: FrameBuffer::new(job.width, job.height, job.format),
+            image,
             rays: Rays::default(),
             reports,
             due: BTreeMap::new(),

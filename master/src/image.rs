@@ -40,6 +40,20 @@ pub enum TileError {
     },
 }
 
+/// An image that does not fit the memory that is left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "an image of {width} x {height} takes {bytes} bytes, more than the memory that is left: choose a smaller size"
+)]
+pub struct NoRoom {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Bytes in the frame's format.
+    pub bytes: u64,
+}
+
 /// BLAKE3 of an image; equal hashes mean equal pixels within one format and numeric class.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ImageHash(pub [u8; 32]);
@@ -52,9 +66,15 @@ impl fmt::Display for ImageHash {
 
 impl FrameBuffer {
     /// An image of zeros. The caller has checked the size against its limits: `width * height * bytes_per_pixel` bytes are taken.
-    pub fn new(width: u32, height: u32, format: PixelFormat) -> Self {
-        let data = vec![0; width as usize * height as usize * format.bytes_per_pixel()];
-        Self { width, height, format, data }
+    ///
+    /// # Errors
+    /// [`NoRoom`], when the machine does not have them.
+    pub fn new(width: u32, height: u32, format: PixelFormat) -> Result<Self, NoRoom> {
+        let bytes = width as usize * height as usize * format.bytes_per_pixel();
+        let mut data = Vec::new();
+        data.try_reserve_exact(bytes).map_err(|_| NoRoom { width, height, bytes: bytes as u64 })?;
+        data.resize(bytes, 0);
+        Ok(Self { width, height, format, data })
     }
 
     /// Columns.
@@ -176,7 +196,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn gradient(width: u32, height: u32, format: PixelFormat) -> FrameBuffer {
-        let mut image = FrameBuffer::new(width, height, format);
+        let mut image = FrameBuffer::new(width, height, format).unwrap();
         for (i, byte) in image.data.iter_mut().enumerate() {
             *byte = (i * 31 % 251) as u8;
         }
@@ -257,7 +277,7 @@ mod tests {
 
     #[test]
     fn a_tile_must_fit() {
-        let mut image = FrameBuffer::new(4, 4, PixelFormat::Rgba8);
+        let mut image = FrameBuffer::new(4, 4, PixelFormat::Rgba8).unwrap();
         let outside = |x, y, w, h| TileError::Outside { x, y, width: w, height: h };
         assert_eq!(image.put(3, 0, 2, 1, &[0; 8]), Err(outside(3, 0, 2, 1)));
         assert_eq!(image.put(0, 4, 1, 1, &[0; 4]), Err(outside(0, 4, 1, 1)));
@@ -270,7 +290,7 @@ mod tests {
         #[test]
         fn tiles_in_any_order_make_the_image(width in 1u32..40, height in 1u32..40, tile in 1u32..17, reverse: bool) {
             let whole = gradient(width, height, PixelFormat::Rgba16);
-            let mut made = FrameBuffer::new(width, height, PixelFormat::Rgba16);
+            let mut made = FrameBuffer::new(width, height, PixelFormat::Rgba16).unwrap();
             let mut corners: Vec<_> = (0..height)
                 .step_by(tile as usize)
                 .flat_map(|y| (0..width).step_by(tile as usize).map(move |x| (x, y)))

@@ -17,7 +17,7 @@ fn main() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("tessera: error: {}", commands::one_line(&error.to_string()));
+            commands::say(&error);
             ExitCode::from(error.exit_code())
         }
     }
@@ -57,6 +57,8 @@ fn start_logging(args: &LogArgs, is_service: bool) -> Result<(), CommandError> {
     let colour = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|v| v.is_empty());
     let logs =
         tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colour);
+    // A full or closed stderr is no reason to stop: by default such an error is itself printed there, which panics.
+    let logs = logs.log_internal_errors(false);
     match args.log_format {
         LogFormat::Text => logs.init(),
         LogFormat::Json => logs.json().init(),

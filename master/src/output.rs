@@ -53,11 +53,20 @@ impl OutputFile {
             Ok(_) => {
                 fs::canonicalize(path).map_err(|source| OutputError::Io { path: path.to_owned(), source })?
             }
+            // Only found out when the work is done otherwise: the temporary name is shorter.
+            Err(source) if source.kind() == io::ErrorKind::InvalidFilename => {
+                return Err(OutputError::Io { path: path.to_owned(), source });
+            }
             Err(_) => path.to_owned(),
         };
         let folder = folder_of(&target);
         if !folder.is_dir() {
-            return Err(refuse(&format!("the folder {} does not exist; create it first", folder.display())));
+            let what = if folder.exists() {
+                "is not a folder; name another"
+            } else {
+                "does not exist; create it first"
+            };
+            return Err(refuse(&format!("the folder {} {what}", folder.display())));
         }
         let output = Self { path: target, is_secret: false };
         drop(output.temporary()?);
@@ -181,9 +190,10 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// The system's reason without the temporary name that the `tempfile` crate adds to it.
+/// The system's reason without the temporary name that the `tempfile` crate wraps around it.
 fn plain(error: io::Error) -> io::Error {
-    match error.raw_os_error() {
+    let inner = error.get_ref().and_then(|wrapper| wrapper.source()?.downcast_ref::<io::Error>());
+    match inner.unwrap_or(&error).raw_os_error() {
         Some(code) => io::Error::from_raw_os_error(code),
         None => io::Error::from(error.kind()),
     }
@@ -240,6 +250,10 @@ mod tests {
             assert!(error.contains(says), "{error}");
         };
         check(&folder.path().join("none/a.png"), "does not exist; create it first");
+        fs::write(folder.path().join("file"), b"").unwrap();
+        check(&folder.path().join("file/a.png"), "file is not a folder; name another");
+        let long = "x".repeat(300);
+        check(&folder.path().join(&long), "(os error ");
         check(folder.path(), "is a folder");
         check(Path::new("/"), "does not name a file");
         #[cfg(unix)]

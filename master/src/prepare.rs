@@ -220,9 +220,9 @@ pub fn choose_camera<'a>(cameras: &'a [Camera], name: Option<&str>) -> Result<&'
         Some(name) => cameras.iter().find(|c| c.name == name),
     };
     found.ok_or_else(|| {
-        let known: Vec<_> = cameras.iter().map(|c| c.name.as_str()).collect();
+        let known = tessera_scene::import::listed(cameras.iter().map(|c| c.name.as_str()));
         match name {
-            Some(name) => format!("no camera `{name}` in the scene; there is {}", known.join(", ")),
+            Some(name) => format!("no camera `{name}` in the scene; there is {known}"),
             None => "the scene has no camera; give one with --eye, --target and --fov".into(),
         }
     })
@@ -515,7 +515,7 @@ mod tests {
         assert_eq!(choose_camera(&cameras, Some("south")).unwrap().name, "south");
         assert_eq!(
             choose_camera(&cameras, Some("west")).unwrap_err(),
-            "no camera `west` in the scene; there is north, south"
+            "no camera `west` in the scene; there is \"north\", \"south\""
         );
         assert!(choose_camera(&[], None).unwrap_err().contains("--eye"));
     }

@@ -17,10 +17,21 @@ pub struct Tessera(Command);
 impl Tessera {
     /// With these arguments, in a clean environment as far as it matters to the program.
     pub fn new<S: AsRef<OsStr>>(args: impl IntoIterator<Item = S>) -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_tessera"));
-        command.args(args).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        Self::prepared(Command::new(env!("CARGO_BIN_EXE_tessera"))).args(args)
+    }
+
+    fn prepared(mut command: Command) -> Self {
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command.env_remove("RUST_LOG").env_remove("TESSERA_SCENES").env_remove("NO_COLOR");
         Self(command)
+    }
+
+    /// The same behind a shell's `prelude` (`ulimit -v 100000`), which ends with the program taking the shell's place.
+    #[cfg(unix)]
+    pub fn behind<S: AsRef<OsStr>>(prelude: &str, args: impl IntoIterator<Item = S>) -> Self {
+        let mut command = Command::new("sh");
+        command.args(["-c", &format!("{prelude} && exec \"$0\" \"$@\""), env!("CARGO_BIN_EXE_tessera")]);
+        Self::prepared(command).args(args)
     }
 
     /// In this folder.

@@ -1,7 +1,14 @@
 //! What a command ends with when it does not succeed.
 
 use std::fmt::Display;
-pub use tessera_master::output::one_line;
+use std::io::Write;
+use tessera_master::output::one_line;
+
+/// Says on stderr, in one line, how a command has ended.
+pub fn say(error: &CommandError) {
+    // With a stderr that cannot be written to, the exit code alone says it.
+    let _ = writeln!(std::io::stderr(), "tessera: error: {}", one_line(&error.to_string()));
+}
 
 /// A failure, as the user sees it: one line and an exit code.
 #[derive(Debug, thiserror::Error)]
@@ -12,7 +19,7 @@ pub enum CommandError {
     /// The work failed: exit code 1.
     #[error("{0}")]
     Failed(String),
-    /// The user pressed Ctrl-C: exit code 130, as shells count a death by SIGINT.
+    /// Ctrl-C, or SIGTERM: exit code 130, as shells count a death by SIGINT.
     #[error("interrupted")]
     Interrupted,
 }

@@ -1,27 +1,22 @@
-//! Ctrl-C, for a whole command; signals, for a service.
+//! Ctrl-C and SIGTERM, for a command that works until it is done and for one that serves until it is asked to stop.
 
 use super::progress::Progress;
-use super::{CommandError, one_line};
-use std::future::poll_fn;
-use std::task::Poll;
+use super::{CommandError, say};
 use tessera_master::output::abandon_all;
 
-/// From now on Ctrl-C ends this process whatever it does: with the line and the exit code of every failure, and without
-/// unfinished files. Worker processes end when their standard input does, and so with this one.
+/// From now on Ctrl-C, and SIGTERM as `kill` and service managers send it, end this process whatever it does: with the line and the exit
+/// code of every failure, and without unfinished files. Worker processes end when their standard input does, and so with this one.
 pub fn listen(progress: &Progress) -> Result<(), CommandError> {
     let failed = |e| CommandError::Failed(format!("cannot listen for Ctrl-C: {e}"));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().map_err(failed)?;
-    let mut pressed = Box::pin(tokio::signal::ctrl_c());
-    // Polling it once registers it, so that a signal counts from here on and not from when the thread has started.
-    match runtime.block_on(poll_fn(|cx| Poll::Ready(pressed.as_mut().poll(cx)))) {
-        Poll::Pending => {}
-        Poll::Ready(Ok(())) => end(progress),
-        Poll::Ready(Err(e)) => return Err(failed(e)),
-    }
+    let asked = {
+        let _inside = runtime.enter();
+        asked_to_stop()
+    };
     let progress = progress.clone();
-    let wait = move || match runtime.block_on(pressed) {
-        Ok(()) => end(&progress),
-        Err(e) => tracing::warn!("Ctrl-C is not heard any more: {e}"),
+    let wait = move || {
+        runtime.block_on(asked);
+        end(&progress)
     };
     std::thread::Builder::new().name("interrupt".into()).spawn(wait).map_err(failed)?;
     Ok(())
@@ -57,6 +52,6 @@ fn end(progress: &Progress) -> ! {
     let _files = abandon_all();
     let _bars = progress.end();
     let error = CommandError::Interrupted;
-    eprintln!("tessera: error: {}", one_line(&error.to_string()));
+    say(&error);
     std::process::exit(error.exit_code().into())
 }

@@ -16,7 +16,7 @@ mod render;
 mod run;
 mod worker;
 
-pub use error::{CommandError, one_line};
+pub use error::{CommandError, say};
 use run::cores;
 
 use clap::{Args, Parser, Subcommand};

@@ -34,7 +34,7 @@ pub struct LocalCamera {
 pub enum PoseError {
     /// A coordinate or the field of view is NaN or infinite.
     NotFinite,
-    /// The field of view is not in (0, 180) degrees, or so near to 180 that the image plane is boundless.
+    /// The field of view is not in (0, 180) degrees, or so near to an end that the image plane is boundless or vanishes.
     FieldOfView,
     /// Eye and target coincide.
     NoDirection,
@@ -51,7 +51,8 @@ impl fmt::Display for PoseError {
         f.write_str(match self {
             Self::NotFinite => "the camera's eye, target, up vector or field of view is not a finite number",
             Self::FieldOfView => {
-                "the camera's vertical field of view must lie between 0 and 180 degrees, both excluded"
+                "the camera's vertical field of view must lie between 0 and 180 degrees, both excluded and not \
+                 almost reached"
             }
             Self::NoDirection => "the camera's eye and target are the same point: move one of them",
             Self::UpParallel => {
@@ -86,6 +87,9 @@ impl CameraPose {
     /// Greatest half extent of the image plane at distance 1, so that its square stays finite in `f32`; reached at
     /// 180 - 3e-8 degrees.
     const MAX_HALF_EXTENT: f64 = (1u64 << 32) as f64;
+
+    /// Least half extent of the image plane at distance 1, so that its square is a normal `f32`; reached at 1e-16 degrees.
+    const MIN_HALF_EXTENT: f64 = 1.0 / (1u64 << 60) as f64;
 
     /// The camera in local space for an image of `width` by `height` pixels; `fov_degrees` spans the height.
     pub fn to_local(&self, frame: &LocalFrame, width: u32, height: u32) -> Result<LocalCamera, PoseError> {
@@ -123,7 +127,9 @@ impl CameraPose {
         // Scale it to the field of view.
         let half_height = libm::tan(self.fov_degrees.to_radians() * 0.5);
         let half_width = half_height * f64::from(width) / f64::from(height);
-        if half_height.max(half_width) > Self::MAX_HALF_EXTENT {
+        if half_height.max(half_width) > Self::MAX_HALF_EXTENT
+            || half_height.min(half_width) < Self::MIN_HALF_EXTENT
+        {
             return Err(PoseError::FieldOfView);
         }
         Ok(LocalCamera {
@@ -198,6 +204,7 @@ mod tests {
         check(CameraPose { fov_degrees: f64::INFINITY, ..p }, 100, PoseError::NotFinite, "finite");
         check(CameraPose { fov_degrees: 0.0, ..p }, 100, PoseError::FieldOfView, "180");
         check(CameraPose { fov_degrees: 180.0, ..p }, 100, PoseError::FieldOfView, "180");
+        check(CameraPose { fov_degrees: 1e-17, ..p }, 100, PoseError::FieldOfView, "180");
         check(CameraPose { fov_degrees: 180.0f64.next_down(), ..p }, 100, PoseError::FieldOfView, "180");
         check(CameraPose { target: p.eye, ..p }, 100, PoseError::NoDirection, "same point");
         check(CameraPose { target: along_y, ..p }, 100, PoseError::UpParallel, "0,0,1");

@@ -31,6 +31,13 @@ impl Scene {
     /// [`NODE_DEPTH_MAX`](crate::import::limits::NODE_DEPTH_MAX) (or has a cycle), or an index of the document is out of range.
     pub fn flatten(&self) -> Result<FlatMesh, SceneError> {
         let size = self.flat_size()?;
+        if !crate::import::has_room(size.bytes()) {
+            return Err(self.invalid(format!(
+                "takes {} bytes once its {} triangles are laid out, more than the memory that is left; use a smaller part of it",
+                size.bytes(),
+                size.triangles
+            )));
+        }
         let mut flat = FlatMesh::with_room(&size);
         self.walk(|mesh, to_world| {
             for primitive in &self.meshes[mesh].primitives {
@@ -111,6 +118,13 @@ impl FlatSize {
             has_uvs: !primitive.uvs.is_empty(),
             has_colors: !primitive.colors.is_empty(),
         }
+    }
+
+    /// Of [`FlatMesh::with_room`].
+    fn bytes(&self) -> u64 {
+        let part = |has: bool, bytes: u64| if has { bytes } else { 0 };
+        let vertex = 24 + part(self.has_normals, 12) + part(self.has_uvs, 8) + part(self.has_colors, 4);
+        self.vertices * vertex + self.triangles * 12
     }
 
     /// Sums saturate: what is beyond 64 bits is beyond every limit.

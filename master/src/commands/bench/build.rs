@@ -7,13 +7,14 @@ use super::mesh::MeshSource;
 use super::obvhs;
 use crate::commands::info::Nodes;
 use crate::commands::progress::Progress;
-use crate::commands::{CommandError, cores, one_line, print_text};
+use crate::commands::{CommandError, cores, print_text};
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 use std::io::{Read, Write};
 use std::process::{Command, Stdio};
 use tessera_kdtree::{BuildOptions, Triangles};
+use tessera_master::output::one_line;
 use tessera_pack::{Pack, PackOptions, Plain, build_pack};
 
 /// What to build.

@@ -47,6 +47,9 @@ pub const ZERO_FILLED_MAX: u64 = 1 << 22;
 /// largest scene that this project names; far below the 32 bits of an index.
 pub const FLAT_MAX: u64 = 1 << 27;
 
+/// Greatest magnitude of a coordinate, in scene units: what a pack can be made of (`tessera_pack` refuses vertices beyond it).
+pub const COORDINATE_MAX: f64 = 1e30;
+
 /// Levels of the node tree. Traversal is iterative, so this bounds time and rounding, not the stack.
 pub const NODE_DEPTH_MAX: usize = 4096;
 

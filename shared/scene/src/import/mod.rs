@@ -8,11 +8,21 @@ mod report;
 mod resolve;
 mod texels;
 
+pub use report::listed;
 pub(crate) use report::without_controls;
 pub(crate) use resolve::read_file;
 
 use crate::{Image, Scene, SceneError};
 use std::path::Path;
+
+/// Whether this many bytes can be reserved now, in one piece: asked where what follows reserves in ways that end the process.
+pub(crate) fn has_room(bytes: u64) -> bool {
+    let mut room = Vec::<u8>::new();
+    let reserved = usize::try_from(bytes).is_ok_and(|bytes| room.try_reserve_exact(bytes).is_ok());
+    // A reservation that nobody looks at would be optimised away as if it had succeeded.
+    std::hint::black_box(&mut room);
+    reserved
+}
 
 /// The image behind `reference`, a plain path in the folder of `source` or below it.
 pub(crate) fn read_image(source: &Path, reference: &str) -> Result<Image, SceneError> {

@@ -66,6 +66,17 @@ pub(crate) fn shown(name: &str) -> String {
     out
 }
 
+/// What there is to choose from: some of the names in quotes, and how many there are besides.
+pub fn listed<'a>(names: impl ExactSizeIterator<Item = &'a str>) -> String {
+    const SHOWN: usize = 12;
+    let more = names.len().saturating_sub(SHOWN);
+    let mut shown: Vec<_> = names.take(SHOWN).map(|name| format!("\"{}\"", shown(name))).collect();
+    if more > 0 {
+        shown.push(format!("and {more} more"));
+    }
+    if shown.is_empty() { "none".to_owned() } else { shown.join(", ") }
+}
+
 /// A name from a file as the scene keeps it: no control characters (it will be printed), and not without end.
 pub(crate) fn clean(name: &str) -> String {
     let end = name.char_indices().nth(NAME_KEPT_MAX).map_or(name.len(), |(at, _)| at);
@@ -96,6 +107,16 @@ mod tests {
         assert_eq!(scene.warnings.len(), WARNINGS_MAX + 1);
         assert_eq!(scene.warnings[WARNINGS_MAX], "20 further warnings are not listed");
         assert_eq!(scene.dropped, [("faces", 5)]);
+    }
+
+    #[test]
+    fn lists_are_short() {
+        let names: Vec<String> = (0..14).map(|i| format!("n{i}")).collect();
+        let list = |count| listed(names[..count].iter().map(String::as_str));
+        assert_eq!(list(0), "none");
+        assert_eq!(list(2), "\"n0\", \"n1\"");
+        assert!(list(12).ends_with("\"n11\""));
+        assert!(list(14).ends_with("\"n11\", and 2 more"));
     }
 
     #[test]

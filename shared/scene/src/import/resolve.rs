@@ -163,7 +163,10 @@ pub(crate) fn read_file(path: &Path, bytes_max: u64) -> Result<Vec<u8>, SceneErr
         return Err(too_long(metadata.len()));
     }
     // One byte more than allowed, so that a file that grows meanwhile is noticed.
-    let mut bytes = Vec::with_capacity(usize::try_from(metadata.len()).unwrap_or(0));
+    let mut bytes = Vec::new();
+    bytes
+        .try_reserve_exact(usize::try_from(metadata.len()).unwrap_or(usize::MAX))
+        .map_err(|_| unreadable(ErrorKind::OutOfMemory.into()))?;
     let file = File::open(path).map_err(unreadable)?;
     file.take(bytes_max.saturating_add(1)).read_to_end(&mut bytes).map_err(unreadable)?;
     if bytes.len() as u64 > bytes_max {

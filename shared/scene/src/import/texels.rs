@@ -1,5 +1,6 @@
 //! Decodes images within limits.
 
+use super::has_room;
 use super::limits::{IMAGE_SIDE_MAX, IMAGE_TEXELS_MAX, TOTAL_TEXELS_MAX};
 use super::report::clean;
 use crate::Image;
@@ -30,25 +31,38 @@ impl TexelReader {
         // A decoder holds the image once, with at most 8 bytes a texel (16-bit RGBA); as much again for its own buffers.
         limits.max_alloc = Some(IMAGE_TEXELS_MAX * 16);
         reader.limits(limits);
-        let broken = |error: image::ImageError| format!("cannot be decoded: {error}");
+        let broken = |error: image::ImageError| match error {
+            image::ImageError::Limits(_) => too_large("has"),
+            error => format!("cannot be decoded: {error}; it is truncated or damaged: export it again"),
+        };
         let decoder = reader.into_decoder().map_err(broken)?;
         let (width, height) = decoder.dimensions();
         let texels = u64::from(width) * u64::from(height);
         if width > IMAGE_SIDE_MAX || height > IMAGE_SIDE_MAX || texels > IMAGE_TEXELS_MAX {
-            return Err(format!(
-                "has {width} x {height} texels, more than the {IMAGE_SIDE_MAX} a side or {IMAGE_TEXELS_MAX} in all that are \
-                 allowed; scale it down"
-            ));
+            return Err(too_large(&format!("has {width} x {height} texels,")));
         }
         if texels > self.texels_left {
             return Err(format!(
                 "brings all images over {TOTAL_TEXELS_MAX} texels, the limit of a scene; scale them down"
             ));
         }
+        // The decoder and the conversions behind it reserve in ways that end the process when memory is short.
+        let room = decoder.total_bytes().saturating_add(8 * texels);
+        if !has_room(room) {
+            return Err(format!(
+                "takes {room} bytes to decode, more than the memory that is left; scale it down"
+            ));
+        }
         let rgba = DynamicImage::from_decoder(decoder).map_err(broken)?.into_rgba8();
         self.texels_left -= texels;
         Ok(Image { name: clean(name), width, height, rgba: rgba.into_raw().into() })
     }
+}
+
+fn too_large(has: &str) -> String {
+    format!(
+        "{has} more than the {IMAGE_SIDE_MAX} texels a side or {IMAGE_TEXELS_MAX} in all that are allowed; scale it down"
+    )
 }
 
 /// A number in [0, 1] as the nearest 8-bit code; `as` cuts what lies outside to the ends, and NaN to 0.
@@ -119,7 +133,7 @@ mod tests {
     fn refuses_bombs_and_strangers() {
         let mut reader = TexelReader::new();
         for (bytes, why) in [
-            (bomb(60_000, 60_000), "cannot be decoded"),
+            (bomb(60_000, 60_000), "more than the 16384 texels a side"),
             (bomb(16_000, 16_000), "16000 x 16000 texels"),
             (bomb(4000, 4000), "cannot be decoded"),
             (bomb(0, 1), "cannot be decoded"),

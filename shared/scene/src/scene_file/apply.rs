@@ -7,8 +7,11 @@ use super::schema::{
 };
 use super::{ground, smooth};
 use crate::import;
+use crate::import::limits::COORDINATE_MAX;
+use crate::import::listed;
 use crate::{AlphaMode, Camera, Environment, Light, LightKind, Material, Scene, SceneError};
 use glam::{DMat4, DVec3};
+use std::collections::HashSet;
 use std::f32::consts::PI;
 use tessera_geometry::CameraPose;
 use toml::Spanned;
@@ -54,10 +57,11 @@ pub(super) fn apply(
         scene.environment = environment(scene, entry, faults)?;
     }
     let mut stated: Vec<Camera> = Vec::new();
+    let mut taken = HashSet::new();
     for entry in document.camera {
         let named =
             |e: &str| faults.at(Some(entry.span()), &format!("[[camera]] \"{}\": {e}", entry.get_ref().name));
-        if stated.iter().any(|c| c.name == entry.get_ref().name) {
+        if !taken.insert(entry.get_ref().name.clone()) {
             return Err(named("the name is taken; give every camera its own"));
         }
         stated.push(camera(entry.get_ref()).map_err(named)?);
@@ -96,15 +100,15 @@ fn order_cameras(
     default: Option<Spanned<String>>,
     faults: &Faults,
 ) -> Result<(), SceneError> {
-    scene.cameras.retain(|c| !stated.iter().any(|s| s.name == c.name));
+    let names: HashSet<&str> = stated.iter().map(|c| c.name.as_str()).collect();
+    scene.cameras.retain(|c| !names.contains(c.name.as_str()));
     stated.append(&mut scene.cameras);
     if let Some(default) = default {
         let Some(place) = stated.iter().position(|c| c.name == *default.get_ref()) else {
-            let names: Vec<_> = stated.iter().map(|c| c.name.as_str()).collect();
             let what = format!(
-                "default_camera = \"{}\": no such camera; there are: {}",
+                "default_camera = \"{}\": no such camera; there is {}",
                 default.get_ref(),
-                names.join(", ")
+                listed(stated.iter().map(|c| c.name.as_str()))
             );
             return Err(faults.at(Some(default.span()), &what));
         };
@@ -145,8 +149,9 @@ fn light(entry: &LightEntry) -> Result<Light, String> {
         return Err("range must be above 0".to_owned());
     }
     let position = || match entry.position.map(DVec3::from_array) {
-        Some(p) if p.is_finite() => Ok(p),
-        Some(_) => Err("position must be finite numbers".to_owned()),
+        // NaN compares false.
+        Some(p) if p.abs().cmple(DVec3::splat(COORDINATE_MAX)).all() => Ok(p),
+        Some(_) => Err(format!("position must be numbers up to {COORDINATE_MAX:e}")),
         None => Err("position is missing".to_owned()),
     };
     let direction = || match entry.direction.map(|d| DVec3::from_array(d).try_normalize()) {
@@ -226,13 +231,8 @@ fn override_materials(scene: &mut Scene, name: &str, entry: &MaterialEntry) -> R
         found = true;
     }
     if !found {
-        const SHOWN: usize = 12;
-        let mut names: Vec<_> =
-            scene.materials.iter().take(SHOWN).map(|m| format!("\"{}\"", m.name)).collect();
-        if scene.materials.len() > SHOWN {
-            names.push(format!("and {} more", scene.materials.len() - SHOWN));
-        }
-        return Err(format!("the source has no such material; it has {}", names.join(", ")));
+        let names = listed(scene.materials.iter().map(|m| m.name.as_str()));
+        return Err(format!("the source has no such material; it has {names}"));
     }
     Ok(())
 }

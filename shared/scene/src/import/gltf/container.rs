@@ -89,6 +89,7 @@ fn take_u32(bytes: &[u8]) -> Option<(u32, &[u8])> {
 
 /// The part of the JSON that decides whether the rest can be understood.
 #[derive(serde::Deserialize)]
+#[serde(expecting = "a glTF object")]
 struct Probe {
     asset: ProbeAsset,
     #[serde(default, rename = "extensionsUsed")]
@@ -98,6 +99,7 @@ struct Probe {
 }
 
 #[derive(serde::Deserialize)]
+#[serde(expecting = "an object with the version")]
 struct ProbeAsset {
     version: String,
     #[serde(rename = "minVersion")]

@@ -2,17 +2,19 @@
 
 use super::json::{self, Root};
 use super::{checked, get, name_or};
-use crate::import::limits::NODE_DEPTH_MAX;
+use crate::import::limits::{COORDINATE_MAX, NODE_DEPTH_MAX};
 use crate::import::report::{Report, shown};
 use crate::{Camera, Light, LightKind, Node, Scene};
 use glam::{DMat4, DQuat, DVec3, DVec4};
 use json::extensions::scene::khr_lights_punctual;
+use std::collections::{HashMap, HashSet};
 use tessera_geometry::CameraPose;
 
 /// Adds nodes (depth first, in file order), lights and cameras to `scene`.
 pub(super) fn read(root: &Root, scene: &mut Scene, report: &mut Report) -> Result<(), String> {
     let parents = parents(root)?;
     let roots = roots(root, &parents, report)?;
+    let mut camera_names = Names::default();
     // One entry a node that is still to come: its index in the file, its parent in `scene`, the parent's matrix, its level.
     let mut stack: Vec<(usize, Option<usize>, DMat4, usize)> =
         roots.iter().rev().map(|&index| (index, None, DMat4::IDENTITY, 1)).collect();
@@ -36,7 +38,8 @@ pub(super) fn read(root: &Root, scene: &mut Scene, report: &mut Report) -> Resul
         let place = scene.nodes.len();
         let name = name_or(&source.name, "node", index);
         if let Some(camera) = source.camera {
-            read_camera(root, camera.value(), &source.name, &to_world, scene, report).map_err(of)?;
+            read_camera(root, camera.value(), &source.name, &to_world, scene, &mut camera_names, report)
+                .map_err(of)?;
         }
         if let Some(light) = source.extensions.as_ref().and_then(|all| all.khr_lights_punctual.as_ref()) {
             read_light(root, light.light.value(), &to_world, scene, report).map_err(of)?;
@@ -194,6 +197,9 @@ fn read_light(
         None => f32::INFINITY,
     };
     let position = to_world.transform_point3(DVec3::ZERO);
+    if position.abs().max_element() > COORDINATE_MAX {
+        return Err(of(format!("lies beyond the coordinate {COORDINATE_MAX:e}; scale the scene down")));
+    }
     scene.lights.push(Light { name, kind, position, direction, intensity, range });
     Ok(())
 }
@@ -204,11 +210,12 @@ fn read_camera(
     node_name: &Option<String>,
     to_world: &DMat4,
     scene: &mut Scene,
+    names: &mut Names,
     report: &mut Report,
 ) -> Result<(), String> {
     let source = get(&root.cameras, index, "cameras")?;
     let given = node_name.as_ref().filter(|name| !name.is_empty()).or(source.name.as_ref());
-    let mut name = name_or(&given.cloned(), "camera", index);
+    let name = name_or(&given.cloned(), "camera", index);
     let Some(perspective) = &source.perspective else {
         report.warn(format!(
             "the camera \"{}\" is orthographic, which is not supported; it is left out",
@@ -229,13 +236,33 @@ fn read_camera(
         ));
         return Ok(());
     };
-    // `--camera` takes a name, so that names must differ.
-    let is_taken = |name: &String| scene.cameras.iter().any(|camera| camera.name == *name);
-    if is_taken(&name) {
-        let mut numbered = (scene.cameras.len() + 1..).map(|number| format!("{name} {number}"));
-        name = numbered.find(|name| !is_taken(name)).unwrap_or_default();
-    }
+    let name = names.distinct(name, scene.cameras.len() + 1);
     let pose = CameraPose { eye, target: eye + forward, up, fov_degrees: yfov.to_degrees() };
     scene.cameras.push(Camera { name, pose });
     Ok(())
+}
+
+/// Names of cameras: `--camera` takes one, so that they must differ.
+#[derive(Default)]
+struct Names {
+    taken: HashSet<String>,
+    /// The number to try next behind a name that was taken before: without it many cameras of one name would take quadratic time.
+    next: HashMap<String, usize>,
+}
+
+impl Names {
+    /// `name`, with a number from `first` on behind it if it is taken.
+    fn distinct(&mut self, name: String, first: usize) -> String {
+        if self.taken.insert(name.clone()) {
+            return name;
+        }
+        let next = self.next.entry(name.clone()).or_insert(first);
+        loop {
+            let numbered = format!("{name} {next}");
+            *next += 1;
+            if self.taken.insert(numbered.clone()) {
+                return numbered;
+            }
+        }
+    }
 }
