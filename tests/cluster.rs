@@ -11,7 +11,7 @@ use tessera_master::{
 };
 use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
 use tessera_wire::{Features, FrameError, LocalTicket, PackRefusal, Refusal};
-use tessera_worker::{JoinError, NUMERIC_CLASS, PackCache, WorkerConfig, WorkerError, WorkerPipes};
+use tessera_worker::{JoinError, Kernel, NUMERIC_CLASS, PackCache, WorkerConfig, WorkerError, WorkerPipes};
 use tokio::task::JoinHandle;
 
 type Served = JoinHandle<Result<(), WorkerError>>;
@@ -59,7 +59,7 @@ fn job(pack: &Pack, balance: Balance) -> FrameJob {
 }
 
 fn config(name: &str, memory: Option<u64>) -> WorkerConfig {
-    WorkerConfig { name: name.into(), threads: 1, memory, cache: None }
+    WorkerConfig { name: name.into(), threads: 1, kernel: Kernel::auto(), memory, cache: None }
 }
 
 /// A worker over memory.
@@ -86,7 +86,9 @@ fn over_quic(count: u32) -> (Workers, Arc<Mutex<Vec<Served>>>) {
     let handles = served.clone();
     let runtime = tokio::runtime::Handle::current();
     let hand_out = move |tickets: Vec<LocalTicket>| {
-        let serve = |ticket| runtime.spawn(tessera_worker::serve_ticket(ticket, std::future::pending()));
+        let serve = |ticket| {
+            runtime.spawn(tessera_worker::serve_ticket(ticket, Kernel::auto(), std::future::pending()))
+        };
         handles.lock().expect("one thread").extend(tickets.into_iter().map(serve));
     };
     (Workers::Tickets(count, Box::new(hand_out)), served)
@@ -353,7 +355,7 @@ async fn a_worker_with_a_forged_ticket_is_refused_and_does_not_disturb() {
         let forged = |change: &dyn Fn(&mut LocalTicket)| {
             let mut forged = ticket.clone();
             change(&mut forged);
-            tessera_worker::serve_ticket(forged, std::future::pending())
+            tessera_worker::serve_ticket(forged, Kernel::auto(), std::future::pending())
         };
         let guessed = forged(&|ticket| ticket.join.token.0[15] ^= 1);
         let elsewhere = forged(&|ticket| ticket.join.fingerprint.0[0] ^= 1);

@@ -33,6 +33,8 @@ pub struct RenderReport {
     pub spp: u32,
     /// Reflections and refractions a path may take.
     pub depth: u32,
+    /// How local workers traced rays: `scalar`, or `8-wide` and the instructions.
+    pub kernel: &'static str,
     /// The view.
     pub camera: CameraReport,
     /// Every worker, in the order of joining.
@@ -156,6 +158,8 @@ pub struct RenderFacts<'a> {
     pub job: &'a FrameJob,
     /// The view.
     pub camera: CameraReport,
+    /// How local workers traced rays.
+    pub kernel: &'static str,
     /// The file that was written.
     pub out: PathBuf,
     /// Of the image.
@@ -169,7 +173,7 @@ pub struct RenderFacts<'a> {
 impl RenderReport {
     /// Puts together what the parts of a render know.
     pub fn new(facts: RenderFacts<'_>, result: &FrameResult) -> Self {
-        let RenderFacts { prepared, job, camera, out, hash, start, write } = facts;
+        let RenderFacts { prepared, job, camera, kernel, out, hash, start, write } = facts;
         let traffic = &result.traffic;
         let udp = traffic.udp_sent + traffic.udp_received;
         Self {
@@ -184,6 +188,7 @@ impl RenderReport {
             balance: job.balance.name(),
             spp: job.samples,
             depth: job.depth,
+            kernel,
             camera,
             workers: result
                 .workers

@@ -19,4 +19,5 @@ pub use join::{JoinError, serve_master};
 pub use local::{run_local, serve_ticket};
 pub use net::{Closer, Connected, connect};
 pub use serve::{WorkerConfig, WorkerError, WorkerPipes, serve};
+pub use tessera_kdtree::Kernel;
 pub use tessera_whitted::NUMERIC_CLASS;

@@ -6,6 +6,7 @@ use crate::{
     serve::free_memory,
 };
 use std::{io::Read, time::Duration};
+use tessera_kdtree::Kernel;
 use tessera_trust::Identity;
 use tessera_wire::{
     LocalTicket,
@@ -16,7 +17,7 @@ use tokio::{sync::oneshot, time::timeout};
 /// A local worker process: reads its [`LocalTicket`] from standard input, serves, and ends when the master
 /// dismisses it or standard input closes. Needs a tokio runtime with I/O and time. Print its error on stderr
 /// and exit with 1.
-pub async fn run_local() -> Result<(), WorkerError> {
+pub async fn run_local(kernel: Kernel) -> Result<(), WorkerError> {
     let (ticket, master_gone) = read_ticket().await?;
     let stop = async {
         tokio::select! {
@@ -24,15 +25,19 @@ pub async fn run_local() -> Result<(), WorkerError> {
             _ = master_gone => {}
         }
     };
-    serve_ticket(ticket, stop).await
+    serve_ticket(ticket, kernel, stop).await
 }
 
 /// Joins the master that wrote `ticket` and serves it until it dismisses the worker, or until `stop` is ready.
-pub async fn serve_ticket(ticket: LocalTicket, stop: impl Future<Output = ()>) -> Result<(), WorkerError> {
+pub async fn serve_ticket(
+    ticket: LocalTicket,
+    kernel: Kernel,
+    stop: impl Future<Output = ()>,
+) -> Result<(), WorkerError> {
     let own = Identity::new().map_err(|e| JoinError::Setup(e.to_string()))?;
     // Each of them holds a pack of its own, and none has one yet.
     let memory = free_memory().map(|bytes| bytes / u64::from(ticket.sharers.max(1)));
-    let config = WorkerConfig { name: ticket.name, threads: ticket.threads, memory, cache: None };
+    let config = WorkerConfig { name: ticket.name, threads: ticket.threads, kernel, memory, cache: None };
     serve_master(&ticket.join, &own, config, stop).await
 }
 

@@ -10,6 +10,7 @@ use std::{
     thread,
     time::Instant,
 };
+use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 
 /// A running render thread; dropping it ends the thread, and what it is at.
@@ -30,9 +31,10 @@ pub(crate) enum RenderEvent {
 }
 
 impl RenderThread {
-    /// Starts the thread and a pool of `threads`; `tell` is called from the thread and may block it.
+    /// Starts the thread and a pool of `threads` that trace with `kernel`; `tell` is called from the thread and may block it.
     pub(crate) fn start(
         threads: u32,
+        kernel: Kernel,
         tell: impl Fn(RenderEvent) + Send + 'static,
     ) -> Result<Self, Box<dyn std::error::Error + Send + Sync>> {
         let pool = rayon::ThreadPoolBuilder::new()
@@ -44,7 +46,7 @@ impl RenderThread {
             let tell = PanicTeller(tell);
             while let Ok((task, pack, stop)) = queue.recv() {
                 let begun = Instant::now();
-                let rendered = pool.install(|| cpu::render(&pack, &task.frame, task.rect, &stop));
+                let rendered = pool.install(|| cpu::render(&pack, kernel, &task.frame, task.rect, &stop));
                 let time = begun.elapsed();
                 (tell.0)(match rendered {
                     Some((pixels, rays)) => {
@@ -132,7 +134,8 @@ mod tests {
         };
         let (pack, _) = build_pack(input, &PackOptions::default()).unwrap();
         let (tell, told) = mpsc::channel();
-        let mut thread = RenderThread::start(2, move |event| tell.send(event).unwrap()).unwrap();
+        let mut thread =
+            RenderThread::start(2, Kernel::auto(), move |event| tell.send(event).unwrap()).unwrap();
         // Seventeen thousand million samples: hours.
         thread.render(task(1 << 16), pack.clone());
         thread.stop();

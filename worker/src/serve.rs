@@ -13,6 +13,7 @@ use std::{
     future::{Future, pending},
     time::Duration,
 };
+use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 use tessera_wire::{
     Abilities, AbortCode, Hello, PackId, PackRefusal, Refusal, Role, ToMaster, ToWorker, Token, Version,
@@ -44,6 +45,8 @@ pub struct WorkerConfig {
     pub name: String,
     /// Threads that render, >= 1.
     pub threads: u32,
+    /// How they trace rays; the picture is the same with each.
+    pub kernel: Kernel,
     /// Bytes that a pack may take; `None`: what the system has free, as far as it says.
     pub memory: Option<u64>,
     /// Where packs are kept for the next time.
@@ -116,7 +119,7 @@ pub(crate) async fn serve_until(
             numeric_class: NUMERIC_CLASS.into(),
         }),
     };
-    let mut driver = Driver::start(pipes, config.threads.max(1), config.cache)?;
+    let mut driver = Driver::start(pipes, (config.threads.max(1), config.kernel), config.cache)?;
     let mut session = Session::start(hello, memory, begun.elapsed());
     tokio::pin!(stop);
     let mut stopping = false;
@@ -179,7 +182,12 @@ impl Driver {
     /// Events that wait for the driver; a task that finds the queue full waits itself.
     const EVENTS: usize = 64;
 
-    fn start(pipes: WorkerPipes, threads: u32, cache: Option<PackCache>) -> Result<Self, WorkerError> {
+    fn start(
+        pipes: WorkerPipes,
+        (threads, kernel): (u32, Kernel),
+        cache: Option<PackCache>,
+    ) -> Result<Self, WorkerError> {
+        tracing::info!("rendering with {threads} threads, {} kernel", kernel.name());
         let (tell, events) = mpsc::channel(Self::EVENTS);
         let (control, messages) = mpsc::unbounded_channel();
         let (bulk, batches) = mpsc::unbounded_channel();
@@ -189,7 +197,7 @@ impl Driver {
         tasks.spawn(write_bulk(pipes.bulk_out, batches, tell.clone()));
         tasks.spawn(read_packs(pipes.bulk_in, wanted, cache.clone(), tell.clone()));
         let control_writer = tokio::spawn(write_control(pipes.control_out, messages));
-        let renderer = RenderThread::start(threads, move |event| {
+        let renderer = RenderThread::start(threads, kernel, move |event| {
             // The driver may be gone; the thread then ends with it.
             let _ = tell.blocking_send(match event {
                 RenderEvent::Rendered(tile) => Event::Rendered(tile),

@@ -2,7 +2,7 @@
 
 use super::args::{Size, Triple, field_of_view};
 use super::progress::Progress;
-use super::run::{Crew, Rendered, prepare_scene, render_frame};
+use super::run::{Crew, KernelChoice, Rendered, prepare_scene, render_frame};
 use super::{CommandError, PackingArgs, SceneArgs};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -93,6 +93,9 @@ pub struct FrameArgs {
     #[arg(long, value_name = "N", help_heading = "Cluster")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=1024))]
     threads: Option<u32>,
+    /// How rays are traced; the picture is the same
+    #[arg(long, value_name = "KERNEL", value_enum, default_value_t, help_heading = "Cluster")]
+    kernel: KernelChoice,
     /// Write a JSON report of the render to a file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
@@ -186,7 +189,7 @@ impl<'a> Plan<'a> {
             format: self.format,
             balance: args.balance,
         };
-        let crew = Crew { workers: self.workers, threads: args.threads };
+        let crew = Crew { workers: self.workers, threads: args.threads, kernel: args.kernel };
         let Rendered { frame, start } = render_frame(&prepared.pack, &job, crew, progress)?;
         let begin = Instant::now();
         frame.image.write(&self.out).map_err(CommandError::failed)?;
@@ -194,6 +197,7 @@ impl<'a> Plan<'a> {
             prepared,
             job: &job,
             camera: CameraReport::new(name, &pose),
+            kernel: args.kernel.kernel().name(),
             out: self.out.path().to_owned(),
             hash: frame.image.hash(),
             start,

@@ -8,7 +8,7 @@ use tessera_master::prepare::{PrepareOptions, Prepared, prepare};
 use tessera_master::{Cluster, ClusterConfig, FrameJob, FrameResult, Link, LocalWorkers, Pipes, Workers};
 use tessera_pack::{Pack, Plain};
 use tessera_scene::{LoadOptions, Without};
-use tessera_worker::{NUMERIC_CLASS, WorkerConfig, WorkerPipes};
+use tessera_worker::{Kernel, NUMERIC_CLASS, WorkerConfig, WorkerPipes};
 
 impl PackingArgs {
     /// What the library is to do.
@@ -77,6 +77,40 @@ pub struct Crew {
     pub workers: u32,
     /// Threads that each renders with; `None`: the machine's cores shared out evenly.
     pub threads: Option<u32>,
+    /// How each traces rays.
+    pub kernel: KernelChoice,
+}
+
+/// `--kernel`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum KernelChoice {
+    /// The fastest of this machine
+    #[default]
+    Auto,
+    /// Ray by ray
+    Scalar,
+    /// Eight rays at once
+    Wide,
+}
+
+impl KernelChoice {
+    /// What it is on this machine.
+    pub fn kernel(self) -> Kernel {
+        match self {
+            Self::Auto => Kernel::auto(),
+            Self::Scalar => Kernel::Scalar,
+            Self::Wide => Kernel::wide(),
+        }
+    }
+
+    /// As it is written on a command line.
+    fn as_str(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Scalar => "scalar",
+            Self::Wide => "wide",
+        }
+    }
 }
 
 /// A frame, and the time that starting the workers took.
@@ -149,24 +183,31 @@ fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
 
 fn workers(crew: Crew, log: &LogArgs) -> Result<Workers, CommandError> {
     if crew.workers == 0 {
-        return Ok(Workers::Links(vec![worker_here(crew.threads.unwrap_or_else(cores))]));
+        return Ok(Workers::Links(vec![worker_here(
+            crew.threads.unwrap_or_else(cores),
+            crew.kernel.kernel(),
+        )]));
     }
     let program = std::env::current_exe()
         .map_err(|e| CommandError::Failed(format!("cannot find this program to start workers with: {e}")))?;
     Ok(Workers::Local(LocalWorkers {
         program,
-        args: ["worker", "--ticket"].map(Into::into).into_iter().chain(log.to_args()).collect(),
+        args: ["worker", "--ticket", "--kernel", crew.kernel.as_str()]
+            .map(Into::into)
+            .into_iter()
+            .chain(log.to_args())
+            .collect(),
         count: crew.workers,
         threads: crew.threads,
     }))
 }
 
 /// A worker within this process: the same code as in a process of its own, behind in-memory pipes.
-fn worker_here(threads: u32) -> Link {
+fn worker_here(threads: u32, kernel: Kernel) -> Link {
     let (link, pipes) = Link::in_memory();
     let Pipes { control_in, control_out, bulk_in, bulk_out } = pipes;
     let pipes = WorkerPipes { control_in, control_out, bulk_in, bulk_out };
-    let config = WorkerConfig { name: "this process".into(), threads, memory: None, cache: None };
+    let config = WorkerConfig { name: "this process".into(), threads, kernel, memory: None, cache: None };
     tokio::spawn(async move {
         if let Err(error) = tessera_worker::serve(pipes, config).await {
             tracing::debug!("the worker in this process ended: {error}");

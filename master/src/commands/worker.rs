@@ -1,7 +1,7 @@
 //! `tessera worker`.
 
 use super::interrupt::asked_to_stop;
-use super::run::{cores, runtime};
+use super::run::{KernelChoice, cores, runtime};
 use super::{CommandError, join};
 use clap::Args;
 use tessera_trust::Identity;
@@ -28,6 +28,9 @@ pub struct WorkerArgs {
     /// What the master calls this worker in logs and reports [default: the machine's name and the process's number]
     #[arg(long, value_name = "NAME", value_parser = name)]
     name: Option<String>,
+    /// How rays are traced; the picture is the same
+    #[arg(long, value_name = "KERNEL", value_enum, default_value_t)]
+    kernel: KernelChoice,
     /// Join the master that has started this process, by the ticket on standard input
     #[arg(long, hide = true, conflicts_with_all = ["join", "threads", "name"])]
     pub ticket: bool,
@@ -35,14 +38,20 @@ pub struct WorkerArgs {
 
 pub fn run(args: WorkerArgs) -> Result<(), CommandError> {
     let runtime = runtime()?;
+    let kernel = args.kernel.kernel();
     let result = if args.ticket {
-        runtime.block_on(tessera_worker::run_local()).map_err(CommandError::failed)
+        runtime.block_on(tessera_worker::run_local(kernel)).map_err(CommandError::failed)
     } else {
         let join = join::find(args.join.as_deref())?;
         let own = Identity::new().map_err(CommandError::failed)?;
         let name = args.name.unwrap_or_else(own_name);
-        let config =
-            WorkerConfig { name, threads: args.threads.unwrap_or_else(cores), memory: None, cache: None };
+        let config = WorkerConfig {
+            name,
+            threads: args.threads.unwrap_or_else(cores),
+            kernel,
+            memory: None,
+            cache: None,
+        };
         let stop = async { _ = asked_to_stop().await };
         let served = runtime.block_on(tessera_worker::serve_master(&join, &own, config, stop));
         served.map_err(CommandError::failed)

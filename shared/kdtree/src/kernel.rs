@@ -11,6 +11,14 @@ pub enum Kernel {
     Wide(Level),
 }
 
+impl PartialEq for Kernel {
+    fn eq(&self, other: &Self) -> bool {
+        self.name() == other.name()
+    }
+}
+
+impl Eq for Kernel {}
+
 impl Kernel {
     /// Eight rays at once with the best instructions that this machine has; ray by ray when it has none for several numbers.
     pub fn auto() -> Self {
@@ -21,6 +29,19 @@ impl Kernel {
     /// Eight rays at once, if need be as plain arrays.
     pub fn wide() -> Self {
         Self::Wide(Level::new())
+    }
+
+    /// For people and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Scalar => "scalar",
+            #[cfg(target_arch = "x86_64")]
+            Self::Wide(level) if level.as_avx2().is_some() => "8-wide AVX2",
+            #[cfg(target_arch = "x86_64")]
+            Self::Wide(_) => "8-wide SSE2",
+            #[cfg(not(target_arch = "x86_64"))]
+            Self::Wide(_) => "8-wide",
+        }
     }
 
     /// The instructions for eight lanes, `None` for single rays.

@@ -65,32 +65,31 @@ impl Renderer<'_> {
     }
 }
 
-/// Pixels whose rays are traced together: four columns, two rows.
+/// Pixels whose rays are traced together: two rows of four, or in a block of one row eight beside each other.
 struct PixelPacket {
     x: u32,
     y: u32,
+    columns: u32,
     /// Those that lie in the block.
     lanes: u8,
 }
 
 impl PixelPacket {
-    const COLUMNS: u32 = 4;
-    const ROWS: u32 = LANES as u32 / Self::COLUMNS;
-
     fn pixel(&self, lane: usize) -> (u32, u32) {
-        (self.x + lane as u32 % Self::COLUMNS, self.y + lane as u32 / Self::COLUMNS)
+        (self.x + lane as u32 % self.columns, self.y + lane as u32 / self.columns)
     }
 }
 
 /// Packets that cover `block`, every pixel once.
 fn packets(block: PixelBlock) -> impl Iterator<Item = PixelPacket> {
-    let rows = (0..block.height).step_by(PixelPacket::ROWS as usize);
+    let columns = if block.height == 1 { LANES as u32 } else { LANES as u32 / 2 };
+    let rows = (0..block.height).step_by(LANES / columns as usize);
     rows.flat_map(move |y| {
-        (0..block.width).step_by(PixelPacket::COLUMNS as usize).map(move |x| {
-            let columns = PixelPacket::COLUMNS.min(block.width - x);
-            let row = (1u8 << columns) - 1;
-            let below = if y + 1 < block.height { row << PixelPacket::COLUMNS } else { 0 };
-            PixelPacket { x: block.x + x, y: block.y + y, lanes: row | below }
+        (0..block.width).step_by(columns as usize).map(move |x| {
+            let row = u8::MAX >> (LANES as u32 - columns.min(block.width - x));
+            let has_second = columns < LANES as u32 && y + 1 < block.height;
+            let lanes = if has_second { row | row << columns } else { row };
+            PixelPacket { x: block.x + x, y: block.y + y, columns, lanes }
         })
     })
 }
@@ -175,5 +174,24 @@ fn layers(scene: &Renderer<'_>, seen: &Seen) -> [[u8; 4]; 9] {
 fn write_words<const N: usize>(bytes: &mut [u8], words: impl IntoIterator<Item = [u8; N]>) {
     for (to, word) in bytes.chunks_exact_mut(N).zip(words) {
         to.copy_from_slice(&word);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packets_hold_every_pixel_of_a_block_once() {
+        for (width, height) in [(1, 1), (4, 2), (8, 1), (9, 1), (5, 3), (128, 2), (3, 7), (0, 2), (2, 0)] {
+            let block = PixelBlock { x: 3, y: 5, width, height };
+            let mut seen: Vec<_> = packets(block)
+                .flat_map(|packet| lanes_in(packet.lanes).map(|lane| packet.pixel(lane)).collect::<Vec<_>>())
+                .collect();
+            seen.sort_unstable();
+            let mut all: Vec<_> = (3..3 + width).flat_map(|x| (5..5 + height).map(move |y| (x, y))).collect();
+            all.sort_unstable();
+            assert_eq!(seen, all, "{width} x {height}");
+        }
     }
 }

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tessera_geometry::{LocalCamera, Vec3};
+use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 use tessera_whitted::{self as whitted, FrameParams, PixelBlock, RayCounts, Renderer};
 use tessera_wire::{Frame, PixelFormat, Rays, Rect};
@@ -21,12 +22,18 @@ const LEAST_BLOCK_PIXELS: u32 = 8;
 
 /// Renders `rect` of `frame` with the threads of the current rayon pool: pixels in the frame's format, and
 /// the rays traced. `None` when `stop` was set meanwhile.
-pub(crate) fn render(pack: &Pack, frame: &Frame, rect: Rect, stop: &AtomicBool) -> Option<(Vec<u8>, Rays)> {
+pub(crate) fn render(
+    pack: &Pack,
+    kernel: Kernel,
+    frame: &Frame,
+    rect: Rect,
+    stop: &AtomicBool,
+) -> Option<(Vec<u8>, Rays)> {
     let params = params(frame);
     let pixel_bytes = params.format.bytes_per_pixel();
     // `Frame::check` bounds a tile's bytes by `limits::TILE_BYTES`.
     let mut pixels = vec![0; rect.width as usize * rect.height as usize * pixel_bytes];
-    let renderer = Renderer::new(pack);
+    let renderer = Renderer::with_kernel(pack, kernel);
     let block_pixels = (BLOCK_PIXELS / frame.samples.max(1)).max(LEAST_BLOCK_PIXELS);
     let counts = split(rect, block_pixels, pixel_bytes, &mut pixels)
         .into_par_iter()
