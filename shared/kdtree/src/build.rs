@@ -28,6 +28,9 @@ pub struct BuildOptions {
     pub tau_occupancy: f32,
     /// Least share of the non-empty leaves below a node that list a referenced triangle, in [0, 1].
     pub tau_frequency: f32,
+    /// Least number of tests of a referenced triangle that a ray through the node expects to make without the reference, which
+    /// makes it one: >= 0. Below 1 a reference saves bytes and costs tests.
+    pub tau_tests: f32,
     /// Cost of a step down the tree, > 0; only its ratio to `intersection_cost` matters (Wald and Havran 2006: 15).
     pub traversal_cost: f32,
     /// Cost of a triangle test, > 0 (Wald and Havran 2006: 20).
@@ -51,6 +54,7 @@ impl Default for BuildOptions {
             max_refs: 2,
             tau_occupancy: 0.5,
             tau_frequency: 0.4,
+            tau_tests: 0.6,
             traversal_cost: 15.0,
             intersection_cost: 20.0,
             empty_factor: 0.8,
@@ -136,7 +140,7 @@ pub fn build(
 
 fn check(options: &BuildOptions) -> Result<(), BuildError> {
     let refuse = |name, value, range| Err(BuildError::Option { name, value, range });
-    let &BuildOptions { max_refs, tau_occupancy, tau_frequency, .. } = options;
+    let &BuildOptions { max_refs, tau_occupancy, tau_frequency, tau_tests, .. } = options;
     if max_refs > MAX_NODE_REFS {
         return refuse("max_refs", max_refs as f32, "0, 1 or 2");
     }
@@ -154,8 +158,10 @@ fn check(options: &BuildOptions) -> Result<(), BuildError> {
     if !(empty_factor > 0.0 && empty_factor <= 1.0) {
         return refuse("empty_factor", empty_factor, "in (0, 1]");
     }
-    if !(least_saving >= 0.0 && least_saving.is_finite()) {
-        return refuse("least_saving", least_saving, "finite and not below 0");
+    for (name, value) in [("tau_tests", tau_tests), ("least_saving", least_saving)] {
+        if !(value >= 0.0 && value.is_finite()) {
+            return refuse(name, value, "finite and not below 0");
+        }
     }
     Ok(())
 }

@@ -287,6 +287,7 @@ fn options_out_of_range_are_refused_by_name() {
     assert_eq!(refused(BuildOptions { tau_occupancy: f32::NAN, ..good }), "tau_occupancy");
     assert_eq!(refused(BuildOptions { tau_frequency: 1.5, ..good }), "tau_frequency");
     assert_eq!(refused(BuildOptions { least_saving: -0.5, ..good }), "least_saving");
+    assert_eq!(refused(BuildOptions { tau_tests: f32::INFINITY, ..good }), "tau_tests");
     assert_eq!(refused(BuildOptions { traversal_cost: 0.0, ..good }), "traversal_cost");
     assert_eq!(refused(BuildOptions { intersection_cost: f32::INFINITY, ..good }), "intersection_cost");
     assert_eq!(refused(BuildOptions { empty_factor: 0.0, ..good }), "empty_factor");

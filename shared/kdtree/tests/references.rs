@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Soup, fans, quad, spheres, tubes};
-use tessera_geometry::Vec3;
+use tessera_geometry::{Aabb, Vec3};
 use tessera_kdtree::{BuildOptions, Tree, node::Node};
 
 /// Every reference of `tree`, by node.
@@ -49,20 +49,63 @@ fn the_triangle_that_most_leaves_list_moves_to_a_node_above_them() {
 #[test]
 fn thresholds_decide_who_is_taken() {
     let soup = fans();
-    let with = |tau_occupancy, tau_frequency| {
-        let options = BuildOptions { tau_occupancy, tau_frequency, ..BuildOptions::default() };
+    let with = |tau_occupancy, tau_frequency, tau_tests| {
+        let options = BuildOptions { tau_occupancy, tau_frequency, tau_tests, ..BuildOptions::default() };
         references(&soup.build_with(&options)).len()
     };
-    let usual = with(0.5, 0.4);
+    let usual = with(0.5, 0.4, 0.6);
     assert!(usual > 0);
-    assert!(with(1.0, 0.4) < usual, "only triangles that span their node whole");
-    assert!(with(0.5, 1.0) < usual, "only triangles that every leaf lists");
+    assert!(with(1.0, 0.4, 0.6) < usual, "only triangles that span their node whole");
+    assert!(with(0.5, 1.0, 0.6) < usual, "only triangles that every leaf lists");
+    assert!(with(0.5, 0.4, 1.0) < usual, "only triangles that rays test no more often");
+    assert!(with(0.5, 0.4, 0.0) > usual, "triangles that rays test far more often, too");
+}
+
+/// Expected steps and tests of a ray that meets the root of `tree`.
+fn expected(tree: &Tree) -> [f64; 2] {
+    let area = |cell: &Aabb| {
+        let [x, y, z] = (cell.max.as_dvec3() - cell.min.as_dvec3()).to_array();
+        x * y + y * z + z * x
+    };
+    let (mut steps, mut tests) = (0.0, 0.0);
+    let mut waiting = vec![(0usize, tree.bounds)];
+    while let Some((slot, cell)) = waiting.pop() {
+        let node = Node(tree.slots[slot]);
+        let share = area(&cell) / area(&tree.bounds);
+        if node.is_leaf() {
+            tests += share * f64::from(node.count());
+            continue;
+        }
+        steps += share;
+        tests += share * f64::from(node.refs());
+        let (mut low, mut high) = (cell, cell);
+        low.max[node.axis()] = node.split();
+        high.min[node.axis()] = node.split();
+        waiting.extend([(slot + node.size() as usize, low), (node.right() as usize, high)]);
+    }
+    [steps, tests]
+}
+
+#[test]
+fn references_that_save_tests_make_no_ray_dearer() {
+    for (name, soup) in [("spheres", spheres()), ("fans", fans()), ("tubes", tubes())] {
+        let options = BuildOptions::default();
+        let cost = |max_refs, tau_tests| {
+            let tree = soup.build_with(&BuildOptions { max_refs, tau_tests, ..options });
+            let [steps, tests] = expected(&tree);
+            f64::from(options.traversal_cost) * steps + f64::from(options.intersection_cost) * tests
+        };
+        let costs = [cost(0, 0.0), cost(2, 1.0), cost(2, 0.0)];
+        assert!(costs[1] < costs[0] * 1.01 && costs[1] < costs[2], "{name}: {costs:?}");
+    }
 }
 
 #[test]
 fn each_reference_count_keeps_its_limit_and_two_save_more_than_one() {
     for (name, soup) in [("spheres", spheres()), ("fans", fans()), ("tubes", tubes())] {
-        let [standard, one, two] = [0, 1, 2].map(|max_refs| soup.build(max_refs).stats());
+        // Whatever it costs rays: else hardly a reference is made among the tubes.
+        let options = |max_refs| BuildOptions { max_refs, tau_tests: 0.0, ..BuildOptions::default() };
+        let [standard, one, two] = [0, 1, 2].map(|max_refs| soup.build_with(&options(max_refs)).stats());
         assert_eq!((standard.inner1, standard.inner2, one.inner2), (0, 0, 0), "{name}");
         assert!(one.inner1 > 0 && two.inner2 > 0, "{name}");
         assert!(one.bytes < standard.bytes && two.bytes < one.bytes, "{name}: {standard:?} {one:?} {two:?}");

@@ -6,16 +6,18 @@
 //! makes of its triangles:
 //!
 //! - *frequency* of a triangle: the share of the non-empty leaves below the node that list it;
-//! - *occupancy*: the largest extent of its part inside `V` as a share of `V`'s extent, over the three axes.
+//! - *occupancy*: the largest extent of its part inside `V` as a share of `V`'s extent, over the three axes;
+//! - *tests*: the sum of `SA(leaf) / SA(V)` over the leaves below that list it, which is how often a ray through `V` expects to
+//!   test it there. A reference makes that once. (Not in the papers: without it a reference may save bytes and cost rays dearly.)
 //!
-//! A triangle may be referenced when both reach their threshold and at least two leaves list it. The ones in most leaves are
+//! A triangle may be referenced when all three reach their threshold and at least two leaves list it. The ones in most leaves are
 //! taken first, then the smaller id.
 
+use super::clip::Cell;
 use super::emit::Output;
 use super::plane::Plane;
 use super::set::{Set, Workshop};
-use super::{Builder, Place};
-use crate::build::clip::Cell;
+use super::{BuildOptions, Builder, Place};
 use std::ops::Range;
 use tessera_geometry::Vec3;
 
@@ -28,8 +30,16 @@ pub(super) struct Trials {
     ids: Vec<u32>,
     /// Of the same triangles: the box of the part in the node's cell.
     boxes: Vec<Cell>,
-    /// Of the same triangles: in how many leaves below the node it is listed.
-    listed: Vec<u32>,
+    /// Of the same triangles: the leaves below the node that list it.
+    listed: Vec<Listed>,
+}
+
+/// Leaves that list one triangle.
+#[derive(Clone, Copy, Default)]
+struct Listed {
+    leaves: u32,
+    /// Sum of their surface areas.
+    area: f32,
 }
 
 /// A node of a trial tree.
@@ -43,8 +53,8 @@ struct Trial {
 }
 
 impl Trials {
-    /// Appends the triangles of a node that is in `listed` leaves of its own.
-    fn push_triangles(&mut self, set: &Set, listed: u32) -> Range<usize> {
+    /// Appends the triangles of a node, each `listed` so far.
+    fn push_triangles(&mut self, set: &Set, listed: Listed) -> Range<usize> {
         let first = self.ids.len();
         self.ids.extend_from_slice(set.ids());
         self.boxes.extend_from_slice(set.boxes());
@@ -63,7 +73,8 @@ impl Trials {
         let mut ours = triangles.clone();
         for below in self.nodes[child].triangles.clone() {
             if let Some(at) = ours.find(|&at| self.ids[at] == self.ids[below]) {
-                self.listed[at] += self.listed[below];
+                self.listed[at].leaves += self.listed[below].leaves;
+                self.listed[at].area += self.listed[below].area;
             }
         }
     }
@@ -108,12 +119,13 @@ impl<V: Fn(u32) -> [Vec3; 3] + Sync> Builder<'_, V> {
     fn try_plain(&self, set: Set, place: Place, shop: &mut Workshop) -> usize {
         let place = self.enter(place, set.len());
         let Some(plane) = self.best_plane(&set, &place) else {
-            let triangles = shop.trials.push_triangles(&set, 1);
+            let triangles =
+                shop.trials.push_triangles(&set, Listed { leaves: 1, area: place.cell.area() as f32 });
             let full_leaves = u32::from(!set.is_empty());
             shop.give_back(set);
             return shop.trials.push(Trial { triangles, split: None, full_leaves });
         };
-        let triangles = shop.trials.push_triangles(&set, 0);
+        let triangles = shop.trials.push_triangles(&set, Listed::default());
         let [low, high] = self.split(&set, &place.cell, &plane, shop);
         shop.give_back(set);
         let [low_place, high_place] = place.split(&plane);
@@ -169,15 +181,18 @@ impl<V: Fn(u32) -> [Vec3; 3] + Sync> Builder<'_, V> {
     fn choose(&self, trials: &Trials, trial: usize, cell: &Cell, budget: u32) -> Vec<usize> {
         let Trial { triangles, full_leaves, .. } = &trials.nodes[trial];
         let (listed, boxes) = (&trials.listed[triangles.clone()], &trials.boxes[triangles.clone()]);
-        let cell_extent = cell.extent();
-        let least = (f64::from(self.options.tau_frequency) * f64::from(*full_leaves)).max(2.0);
+        let (cell_extent, area) = (cell.extent(), cell.area());
+        let &BuildOptions { tau_occupancy, tau_frequency, tau_tests, .. } = self.options;
+        let least_leaves = (f64::from(tau_frequency) * f64::from(*full_leaves)).max(2.0);
+        let is_frequent = |at: usize| f64::from(listed[at].leaves) >= least_leaves;
+        let is_tested = |at: usize| f64::from(listed[at].area) >= f64::from(tau_tests) * area;
         let occupies = |at: usize| {
             let extent = boxes[at].extent();
-            (0..3).any(|k| extent[k] >= f64::from(self.options.tau_occupancy) * cell_extent[k])
+            (0..3).any(|k| extent[k] >= f64::from(tau_occupancy) * cell_extent[k])
         };
         let mut places: Vec<usize> =
-            (0..listed.len()).filter(|&at| f64::from(listed[at]) >= least && occupies(at)).collect();
-        places.sort_by_key(|&at| (std::cmp::Reverse(listed[at]), at));
+            (0..listed.len()).filter(|&at| is_frequent(at) && is_tested(at) && occupies(at)).collect();
+        places.sort_by_key(|&at| (std::cmp::Reverse(listed[at].leaves), at));
         places.truncate(self.options.max_refs.min(budget) as usize);
         places.sort_unstable();
         places
