@@ -11,7 +11,9 @@ use tessera_master::{
 };
 use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
 use tessera_wire::{Features, FrameError, LocalTicket, PackRefusal, Refusal};
-use tessera_worker::{JoinError, Kernel, NUMERIC_CLASS, PackCache, WorkerConfig, WorkerError, WorkerPipes};
+use tessera_worker::{
+    JoinError, Kernel, NUMERIC_CLASS, PackCache, Stop, WorkerConfig, WorkerError, WorkerPipes,
+};
 use tokio::task::JoinHandle;
 
 type Served = JoinHandle<Result<(), WorkerError>>;
@@ -29,7 +31,7 @@ fn pack() -> Pack {
 }
 
 /// A strip of `count` triangles: a pack of more than one chunk.
-fn strip(count: u32) -> Pack {
+pub fn strip(count: u32) -> Pack {
     let corner = |i: u32| [f64::from(i), f64::from(i % 2), 0.0];
     let input = PackInput {
         positions: (0..count + 2).map(corner).collect(),
@@ -41,7 +43,7 @@ fn strip(count: u32) -> Pack {
     build_pack(input, &PackOptions::default()).expect("a strip").0
 }
 
-fn job(pack: &Pack, balance: Balance) -> FrameJob {
+pub fn job(pack: &Pack, balance: Balance) -> FrameJob {
     let frame = pack.frame();
     let origin = frame.to_local(tessera_geometry::DVec3::new(0.2, 0.1, 3.0));
     FrameJob {
@@ -80,15 +82,19 @@ fn in_memory(count: usize) -> (Workers, Vec<Served>) {
     (Workers::Links(links), served)
 }
 
+/// A worker that nobody asks to stop.
+async fn serve_ticket(ticket: LocalTicket) -> Result<(), WorkerError> {
+    let (_nobody, stop) = tokio::sync::watch::channel(Stop::No);
+    tessera_worker::serve_ticket(ticket, Kernel::auto(), stop).await
+}
+
 /// `count` workers over QUIC on loopback.
 fn over_quic(count: u32) -> (Workers, Arc<Mutex<Vec<Served>>>) {
     let served = Arc::new(Mutex::new(Vec::new()));
     let handles = served.clone();
     let runtime = tokio::runtime::Handle::current();
     let hand_out = move |tickets: Vec<LocalTicket>| {
-        let serve = |ticket| {
-            runtime.spawn(tessera_worker::serve_ticket(ticket, Kernel::auto(), std::future::pending()))
-        };
+        let serve = |ticket| runtime.spawn(serve_ticket(ticket));
         handles.lock().expect("one thread").extend(tickets.into_iter().map(serve));
     };
     (Workers::Tickets(count, Box::new(hand_out)), served)
@@ -355,7 +361,7 @@ async fn a_worker_with_a_forged_ticket_is_refused_and_does_not_disturb() {
         let forged = |change: &dyn Fn(&mut LocalTicket)| {
             let mut forged = ticket.clone();
             change(&mut forged);
-            tessera_worker::serve_ticket(forged, Kernel::auto(), std::future::pending())
+            serve_ticket(forged)
         };
         let guessed = forged(&|ticket| ticket.join.token.0[15] ^= 1);
         let elsewhere = forged(&|ticket| ticket.join.fingerprint.0[0] ^= 1);

@@ -4,6 +4,8 @@ mod bad_input;
 mod bench;
 mod cli;
 mod cluster;
+#[cfg(target_os = "linux")]
+mod joined;
 mod processes;
 mod rays;
 mod scenes;

@@ -20,7 +20,7 @@ fn render(folder: &Folder, args: &str) -> Tessera {
         .within(folder.path())
 }
 
-fn hash(report: &Value) -> &str {
+pub fn hash(report: &Value) -> &str {
     report["image_hash"].as_str().expect("a hash")
 }
 

@@ -11,7 +11,7 @@ use tessera_wire::{
     Abilities, AbortCode, Attempt, Features, FrameId, Hello, PackId, Rays, Rect, Role, TileEntry, TileId,
     ToMaster, ToWorker, Token, Version, WorkerId, limits,
 };
-use tessera_worker::session::{Action, Batch, RenderTask, RenderedTile, Session};
+use tessera_worker::session::{Action, Batch, Ending, RenderTask, RenderedTile, Session};
 
 const PACKS: [PackId; 2] = [PackId([9; 32]), PackId([8; 32])];
 const PACK_BYTES: u64 = 1000;
@@ -275,6 +275,8 @@ enum Happening {
     Tile(WorkerId, FrameId, TileEntry, Vec<u8>),
     Die(WorkerId),
     Leave(WorkerId),
+    Drain(WorkerId),
+    BulkEnded(WorkerId),
     Missed(WorkerId),
     Stall(WorkerId, Duration),
     /// A new worker, or one that was lost before: the master cannot tell.
@@ -363,7 +365,8 @@ impl World {
             // One is spared.
             for &worker in &alive[1..] {
                 let at = self.now + self.micros(1, 8000);
-                match self.below(10) {
+                match self.below(11) {
+                    4 => self.schedule(at, Happening::Drain(worker)),
                     0 => self.schedule(at, Happening::Die(worker)),
                     1 => self.schedule(at, Happening::Leave(worker)),
                     2 => {
@@ -441,6 +444,11 @@ impl World {
                 self.expected_lost.insert(worker);
                 self.session(worker, Session::leave);
             }
+            Happening::Drain(worker) => {
+                self.expected_lost.insert(worker);
+                self.session(worker, Session::drain);
+            }
+            Happening::BulkEnded(worker) => self.coordinator.bulk_ended(worker, now),
             Happening::ToWorker(worker, message) => self.session(worker, |s| s.message(message)),
             Happening::PackArrives(worker, pack) => {
                 self.session(worker, |s| s.pack_received(pack, Ok(())));
@@ -578,11 +586,15 @@ impl World {
                 let at = self.workers[worker.0 as usize].arrivals[2];
                 self.schedule(at, Happening::BatchSent(worker));
             }
-            // The master hears of it by the message that went ahead, or by the pipe's end.
-            Action::Over(_) => {
+            // The master hears of it by the message that went ahead, and by the pipes' ends. One that has left waits for the pixels to
+            // be there before it closes.
+            Action::Over(ending) => {
                 self.workers[worker.0 as usize].is_alive = false;
-                let at = self.arrival(worker, 1);
-                self.schedule(at, Happening::Missed(worker));
+                let bulk = self.arrival(worker, 2);
+                self.schedule(bulk, Happening::BulkEnded(worker));
+                let control = self.arrival(worker, 1);
+                let closed = if ending == Ending::Left { bulk.max(control) } else { control };
+                self.schedule(closed, Happening::Missed(worker));
             }
         }
     }

@@ -383,6 +383,7 @@ impl Cluster {
                 self.coordinator.tile(worker, frame, &entry, &pixels, wire_bytes, now);
             }
             Input::PackSent => {}
+            Input::BulkEnded(worker) => self.coordinator.bulk_ended(worker, now),
             Input::Broken(worker, PipeError::Malformed(detail)) => {
                 self.coordinator.abort(worker, AbortCode::Malformed, detail, now);
             }

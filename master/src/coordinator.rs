@@ -159,9 +159,9 @@ impl Coordinator {
         self.sessions.get(worker.0 as usize)?.name()
     }
 
-    /// Workers that have joined and are not gone.
+    /// Workers that have joined and neither left nor are lost.
     pub fn joined(&self) -> impl Iterator<Item = WorkerId> {
-        self.ids().filter(|&worker| self.name(worker).is_some())
+        self.ids().filter(|worker| self.sessions[worker.0 as usize].abilities().is_some())
     }
 
     /// Workers that hold the pack on offer.
@@ -218,6 +218,11 @@ impl Coordinator {
             Ok(false) => {}
             Err(detail) => self.abort(worker, AbortCode::BadTiles, detail, now),
         }
+    }
+
+    /// Nothing more comes on the bulk pipe of `worker`.
+    pub fn bulk_ended(&mut self, worker: WorkerId, now: Duration) {
+        self.with_session(worker, now, Session::bulk_ended);
     }
 
     /// The connection of `worker` broke, its process ended, or what it sent does not decode.
@@ -386,6 +391,11 @@ impl Coordinator {
                     self.outputs.push_back(Output::Event(Event::PackRejected(worker, reason)));
                 }
                 Step::Rendered { frame, tiles } => self.rendered(worker, frame, tiles, now),
+                Step::Leaving => {
+                    if let Some(active) = &mut self.frame {
+                        active.dispatch.leave(worker);
+                    }
+                }
                 Step::Over { code, reason } => {
                     self.outputs.push_back(Output::Close(worker, code));
                     self.over(worker, reason, now);

@@ -32,6 +32,8 @@ pub(crate) enum Input {
     Tile(WorkerId, Tile),
     /// More bytes of a pack are on their way (see [`Counters::pack`]).
     PackSent,
+    /// Nothing more comes on a worker's bulk pipe.
+    BulkEnded(WorkerId),
     /// A pipe is at its end.
     Broken(WorkerId, PipeError),
     /// A local process has ended.
@@ -153,7 +155,8 @@ async fn read_control(
             Err(e) => Input::Broken(worker, e),
         };
         limit = limits::CONTROL_BYTES;
-        let is_last = matches!(input, Input::Broken(..));
+        // Behind `Leave` comes the end of the pipe, and that is no failure.
+        let is_last = matches!(input, Input::Broken(..) | Input::Message(_, ToMaster::Leave));
         if tell.send(input).await.is_err() || is_last {
             return;
         }
@@ -184,7 +187,10 @@ async fn read_bulk(worker: WorkerId, mut pipe: Reader, tell: mpsc::Sender<Input>
         match read_batch(worker, &mut pipe, &tell, &counters).await {
             Ok(true) => {}
             // The control pipe tells of a connection that ends; this one alone must not.
-            Ok(false) => return,
+            Ok(false) => {
+                let _ = tell.send(Input::BulkEnded(worker)).await;
+                return;
+            }
             Err(e) => {
                 let _ = tell.send(Input::Broken(worker, e)).await;
                 return;

@@ -12,6 +12,8 @@ pub struct Session {
     worker: WorkerId,
     phase: Phase,
     deadline: Option<Duration>,
+    /// Whether all pixels that the worker has ever sent are here.
+    bulk_ended: bool,
 }
 
 #[derive(Debug)]
@@ -20,6 +22,8 @@ enum Phase {
     Greeting,
     /// `Welcome` is sent.
     Joined { name: String, abilities: Abilities, holding: Holding, next: Option<(PackId, u64)> },
+    /// It has said that it leaves; pixels are still under way.
+    Leaving { name: String },
     /// Nothing is taken any more.
     Over,
 }
@@ -55,6 +59,8 @@ pub enum Step {
         /// How many.
         tiles: u32,
     },
+    /// It leaves; what it has rendered may still come.
+    Leaving,
     /// The session is over; after what was sent before, the connection is to be closed with this code.
     Over {
         /// QUIC's close code.
@@ -67,8 +73,15 @@ pub enum Step {
 impl Session {
     /// A connection that was made at `now`; the worker must say `Hello` soon.
     pub fn new(worker: WorkerId, now: Duration) -> Self {
-        Self { worker, phase: Phase::Greeting, deadline: Some(now + limits::HANDSHAKE_TIMEOUT) }
+        Self {
+            worker,
+            phase: Phase::Greeting,
+            deadline: Some(now + limits::HANDSHAKE_TIMEOUT),
+            bulk_ended: false,
+        }
     }
+
+    const LEFT: &str = "it left";
 
     /// When [`Session::tick`] has to be called at the latest.
     pub fn deadline(&self) -> Option<Duration> {
@@ -78,7 +91,7 @@ impl Session {
     /// The worker's name, once it has joined and until it is gone.
     pub fn name(&self) -> Option<&str> {
         match &self.phase {
-            Phase::Joined { name, .. } => Some(name),
+            Phase::Joined { name, .. } | Phase::Leaving { name } => Some(name),
             Phase::Greeting | Phase::Over => None,
         }
     }
@@ -87,7 +100,7 @@ impl Session {
     pub fn abilities(&self) -> Option<&Abilities> {
         match &self.phase {
             Phase::Joined { abilities, .. } => Some(abilities),
-            Phase::Greeting | Phase::Over => None,
+            Phase::Greeting | Phase::Leaving { .. } | Phase::Over => None,
         }
     }
 
@@ -119,12 +132,17 @@ impl Session {
     pub fn message(&mut self, message: ToMaster, numeric_class: Option<&str>, now: Duration) -> Vec<Step> {
         let unexpected = |what: &str| (AbortCode::Unexpected, format!("{what} does not belong here"));
         let (code, detail) = match (&mut self.phase, message) {
-            (Phase::Over, _) => return Vec::new(),
+            (Phase::Over | Phase::Leaving { .. }, _) => return Vec::new(),
             (Phase::Greeting, ToMaster::Hello(hello)) => return self.greet(hello, numeric_class),
             (_, ToMaster::Abort { code, detail }) => {
                 return self.end(code, format!("it says: {code}: {}", plain_text(&detail)));
             }
-            (_, ToMaster::Leave) => return self.end(AbortCode::Done, "it left".into()),
+            (Phase::Joined { name, .. }, ToMaster::Leave) if !self.bulk_ended => {
+                self.phase = Phase::Leaving { name: std::mem::take(name) };
+                self.deadline = Some(now + limits::IDLE_TIMEOUT);
+                return vec![Step::Leaving];
+            }
+            (_, ToMaster::Leave) => return self.end(AbortCode::Done, Self::LEFT.into()),
             (Phase::Greeting, _) => unexpected("anything but `Hello`"),
             (Phase::Joined { holding, next, .. }, message) => match (&*holding, message) {
                 (Holding::Offered(offered), ToMaster::PackNeed { pack, have }) if *offered == pack => {
@@ -184,9 +202,19 @@ impl Session {
         let what = match self.phase {
             Phase::Greeting => "no `Hello` came in time",
             Phase::Joined { .. } => "the pack was not taken in time",
+            Phase::Leaving { .. } => return self.end(AbortCode::Done, Self::LEFT.into()),
             Phase::Over => return Vec::new(),
         };
         self.abort(AbortCode::Timeout, what.into())
+    }
+
+    /// The worker's bulk pipe is at its end: no more pixels come from it.
+    pub fn bulk_ended(&mut self) -> Vec<Step> {
+        self.bulk_ended = true;
+        match self.phase {
+            Phase::Leaving { .. } => self.end(AbortCode::Done, Self::LEFT.into()),
+            _ => Vec::new(),
+        }
     }
 
     /// Cuts the worker off.
@@ -225,8 +253,10 @@ impl Session {
         if matches!(self.phase, Phase::Over) {
             return Vec::new();
         }
+        let is_leaving = matches!(self.phase, Phase::Leaving { .. });
         self.phase = Phase::Over;
         self.deadline = None;
+        let reason = if is_leaving { Self::LEFT.into() } else { reason };
         vec![Step::Over { code, reason }]
     }
 
@@ -411,6 +441,31 @@ mod tests {
         s.message(ToMaster::Hello(hello_with(|a| a.memory = 0)), None, NOW);
         let offer = ToWorker::PackOffer { pack: PACK, length: 1 << 40 };
         assert_eq!(s.offer(PACK, 1 << 40, NOW), [Step::Send(offer)], "one that does not know is asked");
+    }
+
+    #[test]
+    fn a_worker_that_leaves_is_there_until_its_pixels_are() {
+        let left = [Step::Over { code: AbortCode::Done, reason: "it left".into() }];
+        let leaving = || {
+            let mut s = joined();
+            assert_eq!(s.message(ToMaster::Leave, None, NOW), [Step::Leaving]);
+            assert!(s.name().is_some() && s.abilities().is_none() && !s.holds(PACK));
+            assert_eq!(s.offer(PACK, 10, NOW), []);
+            s
+        };
+        let mut s = leaving();
+        assert_eq!(s.bulk_ended(), left);
+        check_over(&mut s, &left, AbortCode::Done);
+        let mut s = leaving();
+        assert_eq!(s.tick(NOW + limits::IDLE_TIMEOUT), left, "they do not come");
+        let mut s = leaving();
+        assert_eq!(s.end(AbortCode::Done, "the connection is lost".into()), left);
+        // The pipes are not ordered among each other.
+        let mut s = joined();
+        assert_eq!(s.bulk_ended(), []);
+        assert_eq!(s.message(ToMaster::Leave, None, NOW), left);
+        let mut s = Session::new(WorkerId(0), NOW);
+        assert_eq!(s.message(ToMaster::Leave, None, NOW), left, "nothing can come from it");
     }
 
     #[test]

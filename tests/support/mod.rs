@@ -95,6 +95,12 @@ impl Live {
         panic!("{} ended without saying {text:?}: {}", self.what, self.seen);
     }
 
+    /// Waits for the next line that it writes to stdout.
+    pub fn line(&mut self) -> String {
+        let line = next(&self.stdout, &self.what);
+        line.unwrap_or_else(|| panic!("{} ended without a line", self.what)).trim_end().to_owned()
+    }
+
     /// Its process.
     pub fn id(&self) -> u32 {
         self.child.0.id()

@@ -1,8 +1,9 @@
 //! Joining a master by its join string.
 
-use crate::{WorkerConfig, WorkerError, net::connect, serve::serve_until};
+use crate::{Parting, Stop, WorkerConfig, WorkerError, net::connect, serve::serve_until};
 use tessera_trust::Identity;
 use tessera_wire::JoinString;
+use tokio::sync::watch;
 
 /// Why there is no connection to a master.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -56,22 +57,24 @@ impl JoinError {
     }
 }
 
-/// Joins the master of `join` as `own` and serves it until it dismisses the worker, or until `stop` is ready: then the worker leaves.
+/// Joins the master of `join` as `own` and serves it until it dismisses the worker, or until `stop` asks the worker to leave.
 ///
 /// To the master a worker is its identity: who comes back with the same one takes the place of the connection before.
 pub async fn serve_master(
     join: &JoinString,
     own: &Identity,
     config: WorkerConfig,
-    stop: impl Future<Output = ()>,
-) -> Result<(), WorkerError> {
-    tokio::pin!(stop);
+    mut stop: watch::Receiver<Stop>,
+) -> Result<Parting, WorkerError> {
     let connection = tokio::select! {
         connection = connect(join, own) => connection?,
-        () = &mut stop => return Ok(()),
+        Ok(_) = stop.wait_for(|stop| *stop != Stop::No) => return Ok(Parting::Left),
     };
     tracing::info!("{} is connected to {}", config.name, join.address());
     let served = serve_until(connection.pipes, config, join.token, stop).await;
+    if matches!(served, Ok(Parting::Left)) {
+        connection.closer.see_off().await;
+    }
     connection.closer.close(matches!(served, Err(WorkerError::Aborted { .. }))).await;
     served
 }

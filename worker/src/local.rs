@@ -1,7 +1,7 @@
 //! A worker process that a master has started on its own machine.
 
 use crate::{
-    WorkerConfig, WorkerError,
+    Stop, WorkerConfig, WorkerError,
     join::{JoinError, serve_master},
     serve::free_memory,
 };
@@ -12,33 +12,42 @@ use tessera_wire::{
     LocalTicket,
     codec::{self, Message, PREFIX_BYTES},
 };
-use tokio::{sync::oneshot, time::timeout};
+use tokio::{
+    sync::{oneshot, watch},
+    time::timeout,
+};
 
 /// A local worker process: reads its [`LocalTicket`] from standard input, serves, and ends when the master
 /// dismisses it or standard input closes. Needs a tokio runtime with I/O and time. Print its error on stderr
 /// and exit with 1.
 pub async fn run_local(kernel: Kernel) -> Result<(), WorkerError> {
     let (ticket, master_gone) = read_ticket().await?;
-    let stop = async {
+    let (ask, asked) = watch::channel(Stop::No);
+    let ask = async {
         tokio::select! {
-            () = terminated() => {}
+            () = async { terminated().await; ask.send_replace(Stop::Drain); terminated().await } => {}
             _ = master_gone => {}
         }
+        ask.send_replace(Stop::Now);
+        std::future::pending().await
     };
-    serve_ticket(ticket, kernel, stop).await
+    tokio::select! {
+        served = serve_ticket(ticket, kernel, asked) => served,
+        () = ask => Ok(()),
+    }
 }
 
-/// Joins the master that wrote `ticket` and serves it until it dismisses the worker, or until `stop` is ready.
+/// Joins the master that wrote `ticket` and serves it until it dismisses the worker, or until `stop` asks the worker to leave.
 pub async fn serve_ticket(
     ticket: LocalTicket,
     kernel: Kernel,
-    stop: impl Future<Output = ()>,
+    stop: watch::Receiver<Stop>,
 ) -> Result<(), WorkerError> {
     let own = Identity::new().map_err(|e| JoinError::Setup(e.to_string()))?;
     // Each of them holds a pack of its own, and none has one yet.
     let memory = free_memory().map(|bytes| bytes / u64::from(ticket.sharers.max(1)));
     let config = WorkerConfig { name: ticket.name, threads: ticket.threads, kernel, memory, cache: None };
-    serve_master(&ticket.join, &own, config, stop).await
+    serve_master(&ticket.join, &own, config, stop).await.map(|_| ())
 }
 
 /// The ticket, and a receiver that is ready once standard input has ended: the master is gone, however it

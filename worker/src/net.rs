@@ -40,6 +40,12 @@ pub struct Closer {
 }
 
 impl Closer {
+    /// Waits until the master has read everything and closes, for two seconds at most: pixels of a few tiles at 1 Mbit/s.
+    pub(crate) async fn see_off(&self) {
+        const PATIENCE: Duration = Duration::from_secs(2);
+        let _ = timeout(PATIENCE, self.connection.closed()).await;
+    }
+
     /// Closes the connection once the last messages are out. `spoke_last`: the master has yet to read what was said last, and closes
     /// then; waits a second for it.
     pub async fn close(self, spoke_last: bool) {

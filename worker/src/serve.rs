@@ -9,10 +9,7 @@ use crate::{
     render::{RenderEvent, RenderThread},
     session::{Action, Batch, Ending, RenderedTile, Session},
 };
-use std::{
-    future::{Future, pending},
-    time::Duration,
-};
+use std::time::Duration;
 use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 use tessera_wire::{
@@ -21,7 +18,7 @@ use tessera_wire::{
 };
 use tokio::{
     io::AsyncWriteExt,
-    sync::mpsc,
+    sync::{mpsc, watch},
     task::{JoinHandle, JoinSet},
     time::{Instant, sleep_until, timeout},
 };
@@ -51,6 +48,27 @@ pub struct WorkerConfig {
     pub memory: Option<u64>,
     /// Where packs are kept for the next time.
     pub cache: Option<PackCache>,
+}
+
+/// What is asked of a worker about its end.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stop {
+    /// To go on.
+    #[default]
+    No,
+    /// To finish the tile in hand, return what it has rendered, and leave; others get the rest. Takes 5 s at most, then it is as `Now`.
+    Drain,
+    /// To leave at once.
+    Now,
+}
+
+/// How a worker that is well has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Parting {
+    /// The master has no more work.
+    Dismissed,
+    /// It was asked to stop.
+    Left,
 }
 
 /// Why a worker ended before it was dismissed.
@@ -96,16 +114,19 @@ impl WorkerError {
 
 /// Serves the master behind `pipes` until it dismisses the worker. Dropping the future ends the worker.
 pub async fn serve(pipes: WorkerPipes, config: WorkerConfig) -> Result<(), WorkerError> {
-    serve_until(pipes, config, Token::default(), pending()).await
+    let (_nobody, stop) = watch::channel(Stop::No);
+    serve_until(pipes, config, Token::default(), stop).await.map(|_| ())
 }
 
-/// [`serve`], showing `token`, until `stop` is ready: then the worker leaves, and its unfinished tiles go to others.
+/// [`serve`], showing `token`, until `stop` asks the worker to leave.
 pub(crate) async fn serve_until(
     pipes: WorkerPipes,
     config: WorkerConfig,
     token: Token,
-    stop: impl Future<Output = ()>,
-) -> Result<(), WorkerError> {
+    mut stop: watch::Receiver<Stop>,
+) -> Result<Parting, WorkerError> {
+    /// How long a drained worker may take for the tile in hand; supervisors kill after ten seconds.
+    const DRAIN: Duration = Duration::from_secs(5);
     let begun = Instant::now();
     let memory = config.memory.or_else(free_memory);
     let hello = Hello {
@@ -121,9 +142,20 @@ pub(crate) async fn serve_until(
     };
     let mut driver = Driver::start(pipes, (config.threads.max(1), config.kernel), config.cache)?;
     let mut session = Session::start(hello, memory, begun.elapsed());
-    tokio::pin!(stop);
-    let mut stopping = false;
+    let mut asked = Stop::No;
+    let mut drained = None;
     loop {
+        let ask = *stop.borrow_and_update();
+        if ask > asked {
+            asked = ask;
+            match ask {
+                Stop::Drain => {
+                    drained = Some(Instant::now() + DRAIN);
+                    session.drain();
+                }
+                Stop::No | Stop::Now => session.leave(),
+            }
+        }
         while let Some(action) = session.poll() {
             if let Some(ending) = driver.act(action, &mut session) {
                 driver.close().await;
@@ -139,10 +171,8 @@ pub(crate) async fn serve_until(
             () = async { sleep_until(deadline.unwrap_or(begun)).await }, if deadline.is_some() => {
                 session.tick(begun.elapsed());
             }
-            () = &mut stop, if !stopping => {
-                stopping = true;
-                session.leave();
-            }
+            () = async { sleep_until(drained.unwrap_or(begun)).await }, if drained.is_some() => session.leave(),
+            Ok(()) = stop.changed() => {}
         }
     }
 }
@@ -152,8 +182,9 @@ struct Driver {
     events: mpsc::Receiver<Event>,
     control: mpsc::UnboundedSender<ToMaster>,
     control_writer: JoinHandle<()>,
-    /// At most `limits::BATCHES_IN_FLIGHT` long: the session sees to it.
+    /// At most one longer than `limits::BATCHES_IN_FLIGHT`: the session sees to it.
     bulk: mpsc::UnboundedSender<Batch>,
+    bulk_writer: JoinHandle<()>,
     /// At most one long: likewise.
     wanted_packs: mpsc::UnboundedSender<(PackId, u64)>,
     renderer: RenderThread,
@@ -161,7 +192,7 @@ struct Driver {
     cache: Option<PackCache>,
     /// Packs on their way to the cache.
     keeping: JoinSet<()>,
-    /// Ends the reading and bulk tasks with the driver.
+    /// Ends the reading tasks with the driver.
     _tasks: JoinSet<()>,
 }
 
@@ -194,7 +225,7 @@ impl Driver {
         let (wanted_packs, wanted) = mpsc::unbounded_channel();
         let mut tasks = JoinSet::new();
         tasks.spawn(read_control(pipes.control_in, tell.clone()));
-        tasks.spawn(write_bulk(pipes.bulk_out, batches, tell.clone()));
+        let bulk_writer = tokio::spawn(write_bulk(pipes.bulk_out, batches, tell.clone()));
         tasks.spawn(read_packs(pipes.bulk_in, wanted, cache.clone(), tell.clone()));
         let control_writer = tokio::spawn(write_control(pipes.control_out, messages));
         let renderer = RenderThread::start(threads, kernel, move |event| {
@@ -211,6 +242,7 @@ impl Driver {
             control,
             control_writer,
             bulk,
+            bulk_writer,
             wanted_packs,
             renderer,
             pack: None,
@@ -288,8 +320,8 @@ impl Driver {
         const FAREWELL: Duration = Duration::from_secs(1);
         /// Gigabytes on a disk.
         const KEEPING: Duration = Duration::from_secs(5);
-        drop(self.control);
-        let _ = timeout(FAREWELL, self.control_writer).await;
+        drop((self.control, self.bulk));
+        let _ = timeout(FAREWELL, async { (self.control_writer.await, self.bulk_writer.await) }).await;
         let _ = timeout(KEEPING, async { while self.keeping.join_next().await.is_some() {} }).await;
     }
 }
@@ -333,6 +365,7 @@ async fn write_bulk(
             return;
         }
     }
+    let _ = pipe.shutdown().await;
 }
 
 async fn write_batch(pipe: &mut Writer, batch: Batch) -> Result<(), PipeError> {
@@ -379,9 +412,10 @@ async fn read_packs(
     }
 }
 
-fn ending_to_result(ending: Ending) -> Result<(), WorkerError> {
+fn ending_to_result(ending: Ending) -> Result<Parting, WorkerError> {
     match ending {
-        Ending::Dismissed | Ending::Left => Ok(()),
+        Ending::Dismissed => Ok(Parting::Dismissed),
+        Ending::Left => Ok(Parting::Left),
         Ending::Refused(refusal) => Err(WorkerError::Refused(refusal)),
         Ending::Aborted { code, detail } => Err(WorkerError::Aborted { code, detail: plain_text(&detail) }),
     }

@@ -17,6 +17,8 @@ pub struct Session {
     last_frame: FrameId,
     /// Whether a tile is being rendered; one at a time, with all threads.
     rendering: bool,
+    /// Whether the worker leaves once the tile in hand is returned.
+    draining: bool,
     /// Batches handed out and not yet sent.
     in_flight: usize,
     actions: VecDeque<Action>,
@@ -134,6 +136,7 @@ impl Session {
             frame: None,
             last_frame: FrameId(0),
             rendering: false,
+            draining: false,
             in_flight: 0,
             actions: VecDeque::from([Action::Send(ToMaster::Hello(hello))]),
         }
@@ -252,15 +255,7 @@ impl Session {
         }
         if let Some(active) = self.frame.as_mut().filter(|a| a.frame.frame == done.task.frame.frame) {
             let (said, batch) = active.take(done);
-            // The word goes first: the next tile's number travels while this one's pixels do.
-            if let Some(tiles) = said {
-                let frame = active.frame.frame;
-                self.send(ToMaster::Rendered { frame, tiles });
-            }
-            if let Some(batch) = batch {
-                self.in_flight += 1;
-                self.actions.push_back(Action::Return(batch));
-            }
+            self.hand_over(said, batch);
         }
         self.render_next();
     }
@@ -274,6 +269,22 @@ impl Session {
     /// A batch has been handed to the transport.
     pub fn batch_sent(&mut self) {
         self.in_flight = self.in_flight.saturating_sub(1);
+        self.render_next();
+    }
+
+    /// Ends the session from this side when the tile in hand is rendered and handed to the transport; others get the rest.
+    pub fn drain(&mut self) {
+        if self.phase != Phase::Joined {
+            return self.leave();
+        }
+        self.draining = true;
+        if let Some(active) = &mut self.frame {
+            active.queue.clear();
+            if !self.rendering {
+                let (said, batch) = active.flush();
+                self.hand_over(said, batch);
+            }
+        }
         self.render_next();
     }
 
@@ -304,6 +315,9 @@ impl Session {
     }
 
     fn offer(&mut self, pack: PackId, length: u64) {
+        if self.draining {
+            return;
+        }
         if self.frame.is_some() || matches!(self.holding, Holding::Reserving(_) | Holding::Receiving(_)) {
             return self.abort(AbortCode::Unexpected, "a pack is offered in the middle of work".into());
         }
@@ -347,12 +361,30 @@ impl Session {
         if tiles.is_empty() || tiles.len() > room || tiles.iter().any(|tile| tile.0 >= total) {
             return self.abort(AbortCode::BadTiles, "an assignment that is not of the frame".into());
         }
-        active.queue.extend(tiles.iter().map(|&tile| (tile, attempt)));
-        self.render_next();
+        if !self.draining {
+            active.queue.extend(tiles.iter().map(|&tile| (tile, attempt)));
+            self.render_next();
+        }
     }
 
-    /// Starts on the next tile if nothing is being rendered and the transport keeps up.
+    /// Says that so many tiles of the frame are rendered, and returns pixels.
+    fn hand_over(&mut self, said: Option<u32>, batch: Option<Batch>) {
+        let Some(frame) = self.frame.as_ref().map(|active| active.frame.frame) else { return };
+        // The word goes first: the next tile's number travels while this one's pixels do.
+        if let Some(tiles) = said {
+            self.send(ToMaster::Rendered { frame, tiles });
+        }
+        if let Some(batch) = batch {
+            self.in_flight += 1;
+            self.actions.push_back(Action::Return(batch));
+        }
+    }
+
+    /// Starts on the next tile if nothing is being rendered and the transport keeps up; leaves if that was the last one.
     fn render_next(&mut self) {
+        if self.draining && !self.rendering && self.in_flight == 0 {
+            return self.leave();
+        }
         if self.rendering || self.in_flight >= limits::BATCHES_IN_FLIGHT {
             return;
         }
@@ -393,11 +425,18 @@ impl Active {
             }
         };
         let said = say.then(|| std::mem::take(&mut self.unsaid));
-        let batch = go.then(|| {
-            self.batch_bytes = 0;
-            std::mem::replace(&mut self.batch, Batch::new(self.frame.frame))
-        });
-        (said, batch)
+        (said, go.then(|| self.take_batch()))
+    }
+
+    /// What was kept for later: tiles to be said rendered, and pixels.
+    fn flush(&mut self) -> (Option<u32>, Option<Batch>) {
+        let said = (self.unsaid > 0).then(|| std::mem::take(&mut self.unsaid));
+        (said, (!self.batch.pixels.is_empty()).then(|| self.take_batch()))
+    }
+
+    fn take_batch(&mut self) -> Batch {
+        self.batch_bytes = 0;
+        std::mem::replace(&mut self.batch, Batch::new(self.frame.frame))
     }
 }
 
@@ -567,6 +606,59 @@ mod tests {
         assert_eq!(run(&mut s), "r1");
         s.message(ToWorker::EndFrame { frame: FrameId(2) });
         assert_eq!(actions(&mut s), [], "nothing is being rendered");
+    }
+
+    #[test]
+    fn a_drained_worker_returns_the_tile_in_hand_and_what_it_has_kept_and_leaves() {
+        let leaves = [Action::Send(ToMaster::Leave), Action::Over(Ending::Left)];
+        let finish = |s: &mut Session, task| {
+            let (time, rays) = (Duration::ZERO, Rays::default());
+            s.rendered(RenderedTile { task, pixels: vec![0; 16], time, rays });
+        };
+        for returns in [ReturnMode::AtEnd, ReturnMode::Batches { min_bytes: 1000 }] {
+            let mut s = loaded();
+            s.message(ToWorker::Frame(frame(1, returns)));
+            assign(&mut s, 1, 0..4);
+            let Some(Action::Render(first)) = s.poll() else { panic!("nothing to render") };
+            finish(&mut s, first);
+            let mut all = actions(&mut s);
+            let Some(Action::Render(second)) = all.pop() else { panic!("nothing to render") };
+            s.drain();
+            assign(&mut s, 1, [3]);
+            assert_eq!(actions(&mut s), [], "it is at a tile");
+            finish(&mut s, second);
+            let mut all = actions(&mut s);
+            let Some(Action::Return(batch)) = all.pop() else { panic!("nothing returned: {all:?}") };
+            assert_eq!(batch.header.tiles.iter().map(|t| t.tile.0).collect::<Vec<_>>(), [0, 1]);
+            assert!(matches!(all[..], [Action::Send(ToMaster::Rendered { .. })]), "{all:?}");
+            s.batch_sent();
+            assert_eq!(actions(&mut s), leaves);
+        }
+        // Nothing is being rendered, as the transport does not keep up; something is kept for the next batch.
+        let mut s = loaded();
+        s.message(ToWorker::Frame(frame(1, ReturnMode::Batches { min_bytes: 17 })));
+        assign(&mut s, 1, [0]);
+        let Some(Action::Render(task)) = s.poll() else { panic!("nothing to render") };
+        s.in_flight = limits::BATCHES_IN_FLIGHT;
+        assign(&mut s, 1, [1]);
+        finish(&mut s, task);
+        assert!(matches!(actions(&mut s)[..], [Action::Send(ToMaster::Rendered { tiles: 1, .. })]));
+        s.drain();
+        assert!(matches!(&actions(&mut s)[..], [Action::Return(batch)] if batch.pixels.len() == 1));
+        for _ in 0..limits::BATCHES_IN_FLIGHT {
+            s.batch_sent();
+            assert_eq!(actions(&mut s), []);
+        }
+        s.batch_sent();
+        assert_eq!(actions(&mut s), leaves);
+
+        let mut s = loaded();
+        s.drain();
+        assert_eq!(actions(&mut s), leaves, "it has no work");
+        let mut s = Session::start(hello(), None, Duration::ZERO);
+        actions(&mut s);
+        s.drain();
+        assert_eq!(actions(&mut s), leaves, "it has not even joined");
     }
 
     #[test]

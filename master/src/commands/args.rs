@@ -1,6 +1,7 @@
 //! Values that flags take, checked where they are read.
 
 use std::str::FromStr;
+use std::time::Duration;
 use tessera_wire::limits;
 
 /// An image size, `WIDTHxHEIGHT`.
@@ -50,6 +51,30 @@ pub fn field_of_view(text: &str) -> Result<f64, String> {
         .ok_or_else(|| "write the vertical field of view in degrees, more than 0 and less than 180".into())
 }
 
+/// A time of 1 s to 366 days: a number with s, m, h or d.
+pub fn time(text: &str) -> Result<Duration, String> {
+    const SECONDS_MAX: u64 = 366 * 24 * 3600;
+    let units = [('s', 1), ('m', 60), ('h', 3600), ('d', 24 * 3600)];
+    let seconds = units.into_iter().find_map(|(unit, seconds)| {
+        let number: u64 = text.strip_suffix(unit)?.parse().ok()?;
+        number.checked_mul(seconds)
+    });
+    match seconds {
+        Some(seconds @ 1..=SECONDS_MAX) => Ok(Duration::from_secs(seconds)),
+        _ => Err("write a time of 1s to 366d, as in 30m or 8h".into()),
+    }
+}
+
+/// A number of bytes, with B, KiB, MiB, GiB or TiB.
+pub fn byte_size(text: &str) -> Result<u64, String> {
+    let units = [("KiB", 10), ("MiB", 20), ("GiB", 30), ("TiB", 40), ("B", 0)];
+    let bytes = units.into_iter().find_map(|(unit, shift)| {
+        let number: u64 = text.strip_suffix(unit)?.trim_end().parse().ok()?;
+        number.checked_mul(1 << shift)
+    });
+    bytes.ok_or_else(|| "write a number of bytes with B, KiB, MiB, GiB or TiB, as in 8GiB".into())
+}
+
 /// Vertex data that `--plain` may hold as `f32`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum PlainPart {
@@ -92,6 +117,16 @@ mod tests {
         assert_eq!("-120, 20,0.5".parse(), Ok(Triple([-120.0, 20.0, 0.5])));
         for bad in ["", "1,2", "1,2,3,4", "1,2,nan", "1,inf,2", "a,b,c"] {
             assert!(bad.parse::<Triple>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn byte_sizes() {
+        for (text, bytes) in [("0B", 0), ("1KiB", 1024), ("8GiB", 8 << 30), ("3 TiB", 3 << 40)] {
+            assert_eq!(byte_size(text), Ok(bytes), "{text}");
+        }
+        for bad in ["", "8", "GiB", "-1B", "1.5GiB", "8GB", "99999999999TiB"] {
+            assert!(byte_size(bad).is_err(), "{bad}");
         }
     }
 

@@ -24,6 +24,14 @@ pub fn find(given: Option<&str>) -> Result<JoinString, CommandError> {
     parse(&text, place)
 }
 
+/// Whether [`find`] would read a file, which may hold another join string next time.
+pub fn is_file(given: Option<&str>) -> bool {
+    match given {
+        Some(given) => given.starts_with('@'),
+        None => std::env::var(VARIABLE).is_ok_and(|text| text.starts_with('@')),
+    }
+}
+
 /// A join string, or `@FILE` that holds one; `place` is where it was given.
 fn parse(text: &str, place: &str) -> Result<JoinString, CommandError> {
     match text.strip_prefix('@') {

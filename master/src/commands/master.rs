@@ -1,6 +1,7 @@
 //! `tessera master`.
 
 use super::CommandError;
+use super::args::time;
 use super::interrupt::asked_to_stop;
 use super::run::runtime;
 use clap::Args;
@@ -122,26 +123,10 @@ fn advertised(text: &str) -> Result<(String, u16), String> {
 }
 
 fn time_to_live(text: &str) -> Result<Ttl, String> {
-    /// A year: beyond it, `never` is meant.
-    const SECONDS_MAX: u64 = 366 * 24 * 3600;
     if text == "never" {
         return Ok(Ttl(None));
     }
-    let unit = |c| match c {
-        's' => Some(1),
-        'm' => Some(60),
-        'h' => Some(3600),
-        'd' => Some(24 * 3600),
-        _ => None,
-    };
-    let seconds = text.char_indices().next_back().and_then(|(end, last)| {
-        let number: u64 = text[..end].parse().ok()?;
-        number.checked_mul(unit(last)?)
-    });
-    match seconds {
-        Some(seconds @ 1..=SECONDS_MAX) => Ok(Ttl(Some(Duration::from_secs(seconds)))),
-        _ => Err("write a time of 1s to 366d, as in 30m or 8h, or never".into()),
-    }
+    time(text).map(|ttl| Ttl(Some(ttl))).map_err(|e| format!("{e}, or never"))
 }
 
 #[cfg(test)]

@@ -1,12 +1,16 @@
 //! `tessera worker`.
 
+use super::args::{byte_size, time};
 use super::interrupt::asked_to_stop;
 use super::run::{KernelChoice, cores, runtime};
 use super::{CommandError, join};
 use clap::Args;
+use std::path::PathBuf;
+use std::time::Duration;
 use tessera_trust::Identity;
 use tessera_wire::limits;
-use tessera_worker::WorkerConfig;
+use tessera_worker::{Kernel, PackCache, RetryConfig, Stop, WorkerConfig, WorkerError};
+use tokio::sync::watch;
 
 /// Whom to serve, and with what.
 #[derive(Debug, Args)]
@@ -14,8 +18,12 @@ use tessera_worker::WorkerConfig;
     long_about = "Join a master and render for it\n\n\
         The join string is the line that `tessera master` prints. It holds the master's address, the fingerprint of its certificate and \
         a token; keep it to yourself. Without --join it is taken from the environment variable TESSERA_JOIN.\n\n\
-        The worker ends when the master dismisses it (exit code 0), when it is asked to by SIGTERM or Ctrl-C (0; its unfinished tiles go \
-        to others), or when it is refused (1).",
+        The worker ends when the master dismisses it (exit code 0), when it is asked to by SIGTERM or Ctrl-C (0: it returns the tile in \
+        hand, for which it has 5 s, and others get the rest; a second signal ends it at once), or when it is refused (1). When it loses a \
+        master that has taken it, it joins again, slower and slower up to once in half a minute; a join string in a @FILE is read again \
+        each time, so that a master that was started again finds its workers.\n\n\
+        Packs are kept on disk by their hash, so that a worker that comes back need not be sent them again. Any number of workers may \
+        share the folder; nothing else in it is touched.",
     after_help = "Examples:\n  tessera worker --join @join.txt\n  TESSERA_JOIN=tessera1... tessera worker --threads 8 --name attic"
 )]
 pub struct WorkerArgs {
@@ -31,8 +39,20 @@ pub struct WorkerArgs {
     /// How rays are traced; the picture is the same
     #[arg(long, value_name = "KERNEL", value_enum, default_value_t)]
     kernel: KernelChoice,
+    /// How long to try while no master takes this worker, as in 30s or 1h [default: once, and for ever after one has taken it]
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    retry_for: Option<Duration>,
+    /// Where packs are kept [default: tessera/packs in $XDG_CACHE_HOME or ~/.cache]
+    #[arg(long, value_name = "DIR", conflicts_with = "no_cache")]
+    cache_dir: Option<PathBuf>,
+    /// Bytes of all packs that are kept; those used longest ago go first
+    #[arg(long, value_name = "SIZE", default_value = "8GiB", value_parser = byte_size)]
+    cache_limit: u64,
+    /// Keep no packs on disk
+    #[arg(long)]
+    no_cache: bool,
     /// Join the master that has started this process, by the ticket on standard input
-    #[arg(long, hide = true, conflicts_with_all = ["join", "threads", "name"])]
+    #[arg(long, hide = true, conflicts_with_all = ["join", "threads", "name", "retry_for", "cache_dir", "no_cache"])]
     pub ticket: bool,
 }
 
@@ -42,23 +62,77 @@ pub fn run(args: WorkerArgs) -> Result<(), CommandError> {
     let result = if args.ticket {
         runtime.block_on(tessera_worker::run_local(kernel)).map_err(CommandError::failed)
     } else {
-        let join = join::find(args.join.as_deref())?;
-        let own = Identity::new().map_err(CommandError::failed)?;
-        let name = args.name.unwrap_or_else(own_name);
-        let config = WorkerConfig {
-            name,
-            threads: args.threads.unwrap_or_else(cores),
-            kernel,
-            memory: None,
-            cache: None,
-        };
-        let stop = async { _ = asked_to_stop().await };
-        let served = runtime.block_on(tessera_worker::serve_master(&join, &own, config, stop));
-        served.map_err(CommandError::failed)
+        runtime.block_on(stay(args, kernel))
     };
     // Standard input is read by a thread that would keep the runtime until the master closes it; a tile may be in the middle.
     runtime.shutdown_background();
     result
+}
+
+/// Serves masters until one dismisses this worker, or it is asked to stop.
+async fn stay(args: WorkerArgs, kernel: Kernel) -> Result<(), CommandError> {
+    let cache = cache(&args)?;
+    let own = Identity::new().map_err(CommandError::failed)?;
+    let threads = args.threads.unwrap_or_else(cores);
+    let name = args.name.unwrap_or_else(own_name);
+    let config = WorkerConfig { name, threads, kernel, memory: None, cache };
+    let retry = RetryConfig {
+        at_first: args.retry_for.unwrap_or(Duration::ZERO),
+        again: args.retry_for,
+        join_may_change: join::is_file(args.join.as_deref()),
+    };
+    let (ask, asked) = watch::channel(Stop::No);
+    let first = asked_to_stop();
+    tokio::spawn(async move {
+        let signal = first.await;
+        tracing::info!("{signal}: leaving after the tile in hand");
+        ask.send_replace(Stop::Drain);
+        let signal = asked_to_stop().await;
+        tracing::info!("{signal}: leaving at once");
+        ask.send_replace(Stop::Now);
+        // The worker ends, and this task with it.
+        ask.closed().await;
+    });
+    let find = || join::find(args.join.as_deref());
+    tessera_worker::stay(find, &own, config, retry, asked).await
+}
+
+/// The cache that was asked for. Without the one that nobody has asked for work goes on.
+fn cache(args: &WorkerArgs) -> Result<Option<PackCache>, CommandError> {
+    if args.no_cache {
+        return Ok(None);
+    }
+    let (folder, is_asked_for) = match &args.cache_dir {
+        Some(folder) => (folder.clone(), true),
+        None => match default_cache() {
+            Some(folder) => (folder, false),
+            None => return Ok(None),
+        },
+    };
+    match PackCache::open(&folder, args.cache_limit) {
+        Ok(cache) => Ok(Some(cache)),
+        Err(e) if is_asked_for => {
+            let folder = folder.display();
+            Err(CommandError::Failed(format!("--cache-dir {folder}: {e}; name a folder that can be written")))
+        }
+        Err(e) => {
+            tracing::warn!("packs are not kept: {}: {e}", folder.display());
+            Ok(None)
+        }
+    }
+}
+
+/// Where a desktop keeps what can be had again (XDG Base Directory Specification 0.8: only absolute paths count).
+fn default_cache() -> Option<PathBuf> {
+    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let home = || absolute("HOME").map(|home| home.join(".cache"));
+    absolute("XDG_CACHE_HOME").or_else(home).map(|folder| folder.join("tessera/packs"))
+}
+
+impl From<WorkerError> for CommandError {
+    fn from(error: WorkerError) -> Self {
+        Self::failed(error)
+    }
 }
 
 /// A name that a log can show.

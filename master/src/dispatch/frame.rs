@@ -50,6 +50,8 @@ struct Hand {
     alone_with: Vec<TileId>,
     /// When it last made progress, or was given work while it had none.
     since: Duration,
+    /// Whether it takes no more.
+    leaving: bool,
 }
 
 /// Tiles for a worker, to be rendered in this order.
@@ -169,6 +171,13 @@ impl Dispatch {
         Ok(true)
     }
 
+    /// `worker` takes no more tiles; those that it has rendered may still come. To be followed by [`Dispatch::lost`].
+    pub fn leave(&mut self, worker: WorkerId) {
+        if let Some(hand) = self.crew.get_mut(&worker) {
+            hand.leaving = true;
+        }
+    }
+
     /// `worker` is gone; who gets its unfinished tiles. With no worker left they wait (see
     /// [`Dispatch::workers`]).
     pub fn lost(&mut self, worker: WorkerId, now: Duration) -> Vec<Assignment> {
@@ -263,7 +272,8 @@ impl Dispatch {
                 self.pool.pop_front();
                 continue;
             }
-            let Some((&worker, hand)) = self.crew.iter().min_by_key(|(_, hand)| hand.queued) else { break };
+            let staying = self.crew.iter().filter(|(_, hand)| !hand.leaving);
+            let Some((&worker, hand)) = staying.min_by_key(|(_, hand)| hand.queued) else { break };
             if hand.queued as usize >= self.credit() {
                 break;
             }
@@ -294,7 +304,8 @@ impl Dispatch {
     /// Workers with unfinished tiles that another one could render as well: from when on they are late, and who that is.
     fn late(&self) -> impl Iterator<Item = (Duration, WorkerId, WorkerId)> {
         // Nobody idles while the pool has tiles. Two are enough to find one that is another.
-        let mut idle = self.crew.iter().filter(|(_, hand)| hand.queued == 0).map(|(&worker, _)| worker);
+        let is_idle = |hand: &Hand| hand.queued == 0 && !hand.leaving;
+        let mut idle = self.crew.iter().filter(|(_, hand)| is_idle(hand)).map(|(&worker, _)| worker);
         let idle = if self.pool.is_empty() { [idle.next(), idle.next()] } else { [None, None] };
         self.crew.iter().filter(|(_, hand)| !hand.alone_with.is_empty()).filter_map(move |(&worker, hand)| {
             let other = idle.into_iter().flatten().find(|&other| other != worker)?;
