@@ -9,6 +9,7 @@ mod joined;
 mod processes;
 mod rays;
 mod scenes;
+mod service;
 mod simulation;
 mod support;
 mod tidy;

@@ -1,5 +1,7 @@
 //! One image from every number of workers, tile size and balancing; no process outlives its master.
 
+#[cfg(unix)]
+use crate::support::signal;
 use crate::support::{Folder, Tessera};
 use serde_json::Value;
 
@@ -96,10 +98,61 @@ fn workers_log_as_their_master_does() {
     run("--spp 1").json();
 }
 
+#[cfg(unix)]
+#[test]
+fn a_master_renders_for_clients_on_workers_that_join() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = packed_box();
+    let run = |args: &str| Tessera::new(args.split(' ')).within(folder.path());
+    let mut master = run("master --listen 127.0.0.1:0 --join-file join.txt").start();
+    master.wait_for("listening on 127.0.0.1");
+    let file = folder.file("join.txt");
+    let join = std::fs::read_to_string(&file).expect("the join file");
+    let mode = std::fs::metadata(&file).expect("the join file").permissions().mode();
+    assert_eq!(mode & 0o777, 0o600, "nobody else's business");
+    let mut workers = vec![run("worker --join @join.txt --threads 1 --name first").start()];
+    master.wait_for("first has joined");
+    workers.push(run("worker --threads 1 --name second").env("TESSERA_JOIN", join.trim()).start());
+    master.wait_for("second has joined");
+
+    for args in
+        ["--size 203x129 --tile 32", "--size 64x48 --spp 2 --bits 16 --balance paper-static --tile 16"]
+    {
+        let local = render(&folder, args).run().json();
+        let picture = std::fs::read(folder.file("box.png")).expect("the picture");
+        let elsewhere = render(&folder, &format!("{args} --master @join.txt")).run().json();
+        assert_eq!(hash(&elsewhere), hash(&local), "{args}");
+        assert_eq!(std::fs::read(folder.file("box.png")).expect("the picture"), picture, "{args}");
+        for key in ["rays", "pack_id", "camera", "numeric_class"] {
+            assert_eq!(elsewhere[key], local[key], "{key}");
+        }
+        assert_eq!(elsewhere["workers"].as_array().map(Vec::len), Some(2), "{elsewhere}");
+    }
+
+    // Who may not join: one line, and no second attempt.
+    let cut = &join[..join.len() / 2];
+    run("worker").env("TESSERA_JOIN", cut).run().fails(2, &["TESSERA_JOIN: the join string is cut off"]);
+    run("worker").run().fails(2, &["no join string", "--join"]);
+    run("worker --join @none.txt").run().fails(1, &["cannot read none.txt"]);
+    let nobody = "render box.tpack --out no.png --master";
+    run(&format!("{nobody} tessera1.x")).run().fails(2, &["--master: the join string is cut off"]);
+    run(&format!("{nobody} @join.txt --workers 2")).run().fails(2, &["--workers", "--master"]);
+
+    signal("TERM", master.id());
+    let outcome = master.finish();
+    assert_eq!((outcome.code, outcome.stdout.as_str()), (Some(0), join.as_str()), "{outcome:?}");
+    assert_eq!(outcome.stderr.matches("client ").count(), 4, "each client comes and goes: {outcome:?}");
+    for worker in workers {
+        let outcome = worker.finish();
+        assert_eq!((outcome.code, outcome.stdout.as_str()), (Some(0), ""), "{outcome:?}");
+    }
+    assert!(!folder.names().contains(&"no.png".into()));
+}
+
 #[cfg(target_os = "linux")]
 mod ends {
     use super::*;
-    use crate::support::{signal, signal_group, wait_until_ended};
+    use crate::support::{signal_group, wait_until_ended};
 
     /// Much longer than any test waits, unless it is ended.
     const ENDLESS: &str = "--size 512x512 --spp 65536 -v";

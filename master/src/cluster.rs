@@ -87,6 +87,8 @@ pub struct Cluster {
     locals: Vec<Local>,
     /// The workers that are connected from outside this process.
     identities: BTreeMap<Fingerprint, WorkerId>,
+    /// Where clients go.
+    clients: Option<mpsc::Sender<Guest>>,
     endpoint: Option<quinn::Endpoint>,
     /// Processes and the listener; dropping it kills them.
     tasks: JoinSet<()>,
@@ -151,10 +153,19 @@ impl Cluster {
         Ok(this)
     }
 
-    /// Opens the door to workers from anywhere, and returns at once with what they need to join.
+    /// Opens the door to workers from anywhere, and returns at once with what they need to join. Needs a tokio runtime with I/O and time.
     pub fn listen(config: ClusterConfig, at: ListenConfig) -> Result<(Self, JoinString), StartError> {
+        Self::listen_for_all(config, at, None)
+    }
+
+    /// [`Cluster::listen`], and hands clients on; without that they are refused.
+    pub(crate) fn listen_for_all(
+        config: ClusterConfig,
+        at: ListenConfig,
+        clients: Option<mpsc::Sender<Guest>>,
+    ) -> Result<(Self, JoinString), StartError> {
         let setup = |e: tessera_trust::TrustError| StartError::Endpoint(e.to_string());
-        let mut this = Self::new(config);
+        let mut this = Self { clients, ..Self::new(config) };
         let own = Identity::new().map_err(setup)?;
         let token = tessera_trust::new_token().map_err(setup)?;
         let bound = this.open(at.listen, &own, Admission::open(token, at.token_ttl))?;
@@ -170,6 +181,32 @@ impl Cluster {
                 self.report(event, &mut progress);
             }
             self.wait().await;
+        }
+    }
+
+    /// Whether a worker has joined and is not gone.
+    pub fn has_workers(&self) -> bool {
+        self.coordinator.joined().next().is_some()
+    }
+
+    /// [`Cluster::attend`], until a worker has joined.
+    pub async fn until_joined(&mut self, mut progress: impl FnMut(Progress<'_>)) {
+        loop {
+            for event in self.carry_out() {
+                self.report(event, &mut progress);
+            }
+            if self.has_workers() {
+                return;
+            }
+            self.wait().await;
+        }
+    }
+
+    /// Ends the frame whose rendering was dropped, if there is one.
+    pub fn give_up(&mut self, mut progress: impl FnMut(Progress<'_>)) {
+        self.coordinator.finish();
+        for event in self.carry_out() {
+            self.report(event, &mut progress);
         }
     }
 
@@ -274,6 +311,7 @@ impl Cluster {
             lines: Vec::new(),
             locals: Vec::new(),
             identities: BTreeMap::new(),
+            clients: None,
             endpoint: None,
             tasks: JoinSet::new(),
             farewells: JoinSet::new(),
@@ -399,8 +437,20 @@ impl Cluster {
         }
     }
 
-    /// Takes in a worker whose `Hello` the door has read.
+    /// Takes in a worker whose `Hello` the door has read, and hands on a client.
     fn welcome(&mut self, guest: Guest) {
+        if guest.admitted == Admitted::Client {
+            let limit = limits::CLIENTS as u32;
+            let (guest, refusal) = match &self.clients {
+                None => (guest, Refusal::Role),
+                Some(clients) => match clients.try_send(guest) {
+                    Ok(()) => return,
+                    Err(e) => (e.into_inner(), Refusal::Full { limit }),
+                },
+            };
+            self.farewells.spawn(door::turn_away(guest, refusal));
+            return;
+        }
         let now = self.now();
         let Guest { admitted, identity, hello, link } = guest;
         let worker = self.link(link);
@@ -410,13 +460,8 @@ impl Cluster {
         if let Some(earlier) = self.identities.insert(identity, worker) {
             self.coordinator.abort(earlier, AbortCode::Replaced, "it has connected again".into(), now);
         }
-        let is_full = self.coordinator.joined().count() >= limits::WORKERS;
-        match admitted {
-            Admitted::Client => self.coordinator.refuse(worker, Refusal::Role, now),
-            _ if is_full => {
-                self.coordinator.refuse(worker, Refusal::Full { limit: limits::WORKERS as u32 }, now);
-            }
-            Admitted::Local(_) | Admitted::Worker => {}
+        if self.coordinator.joined().count() >= limits::WORKERS {
+            self.coordinator.refuse(worker, Refusal::Full { limit: limits::WORKERS as u32 }, now);
         }
         self.coordinator.message(worker, ToMaster::Hello(hello), now);
     }

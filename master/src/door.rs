@@ -7,7 +7,7 @@ use crate::{
     admission::{Admission, Admitted},
     line::Input,
     net,
-    transport::{Link, Pipes},
+    transport::{Link, Pipes, write_message},
 };
 use quinn::{Connection, ConnectionError, Endpoint, Incoming, RecvStream, SendStream, VarInt};
 use rustls::pki_types::CertificateDer;
@@ -22,10 +22,14 @@ use tessera_wire::{
     limits, plain_text,
 };
 use tokio::{
+    io::AsyncWriteExt,
     sync::{mpsc, oneshot},
     task::JoinSet,
     time::{Instant, timeout, timeout_at},
 };
+
+/// How long a peer may take to read why it is refused.
+const FAREWELL: Duration = Duration::from_secs(1);
 
 /// What the door knows, and whom it tells.
 pub(crate) struct Door {
@@ -169,8 +173,6 @@ async fn hear(
 
 /// Tells a peer why it is not let in, and closes once it has heard.
 async fn refuse(connection: &Connection, mut control: SendStream, refusal: Refusal) {
-    /// How long it may take to read that.
-    const FAREWELL: Duration = Duration::from_secs(1);
     if let Ok(bytes) = codec::encode(&ToWorker::Refuse(refusal)) {
         // A peer that is gone need not be told.
         let _ = control.write_all(&bytes).await;
@@ -178,6 +180,22 @@ async fn refuse(connection: &Connection, mut control: SendStream, refusal: Refus
         let _ = timeout(FAREWELL, connection.closed()).await;
     }
     connection.close(VarInt::from_u32(AbortCode::Refused.number()), b"");
+}
+
+/// Tells a peer that was let in why it may not stay, and closes.
+pub(crate) async fn turn_away(guest: Guest, refusal: Refusal) {
+    let Link { mut pipes, connection, .. } = guest.link;
+    let told = async {
+        let _ = write_message(&mut pipes.control_out, &ToWorker::Refuse(refusal)).await;
+        let _ = pipes.control_out.shutdown().await;
+        if let Some(connection) = &connection {
+            connection.closed().await;
+        }
+    };
+    let _ = timeout(FAREWELL, told).await;
+    if let Some(connection) = connection {
+        connection.close(VarInt::from_u32(AbortCode::Refused.number()), b"");
+    }
 }
 
 /// Both bulk pipes.
@@ -200,3 +218,6 @@ fn identity(connection: &Connection) -> Option<Fingerprint> {
     let chain = connection.peer_identity()?.downcast::<Vec<CertificateDer>>().ok()?;
     Some(tessera_trust::fingerprint(chain.first()?))
 }
+
+#[cfg(test)]
+mod tests;

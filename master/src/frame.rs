@@ -2,7 +2,7 @@
 
 use crate::{Balance, FrameBuffer};
 use std::time::Duration;
-use tessera_geometry::LocalCamera;
+use tessera_geometry::{LocalCamera, Vec3};
 use tessera_pack::PackId;
 use tessera_wire::{Camera, Features, Frame, FrameId, PixelFormat, Rays};
 
@@ -46,9 +46,30 @@ impl FrameJob {
     }
 }
 
+impl FrameJob {
+    /// The job of a client.
+    pub(crate) fn from_wire(frame: &Frame, balance: Balance) -> Self {
+        let Frame { camera, width, height, tile, samples, depth, seed, features, format, .. } = *frame;
+        let camera = LocalCamera {
+            origin: Vec3::from_array(camera.origin),
+            forward: Vec3::from_array(camera.forward),
+            right: Vec3::from_array(camera.right),
+            up: Vec3::from_array(camera.up),
+        };
+        Self { camera, width, height, tile, samples, depth, seed, features, format, balance }
+    }
+}
+
 /// What happens, as it happens; for progress bars and logs.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Progress<'a> {
+    /// At a master elsewhere: frames of others come first.
+    Waiting {
+        /// How many.
+        ahead: u32,
+    },
+    /// No worker has joined; the frame waits for one.
+    NoWorkers,
     /// Pack bytes handed to the transport, over all workers.
     Sent {
         /// So far.

@@ -77,6 +77,15 @@ impl FrameBuffer {
         Ok(Self { width, height, format, data })
     }
 
+    /// An image of these rows, without padding.
+    pub fn from_rows(width: u32, height: u32, format: PixelFormat, data: Vec<u8>) -> Result<Self, TileError> {
+        let expected = u64::from(width) * u64::from(height) * format.bytes_per_pixel() as u64;
+        if data.len() as u64 != expected {
+            return Err(TileError::Length { expected, found: data.len() as u64 });
+        }
+        Ok(Self { width, height, format, data })
+    }
+
     /// Columns.
     pub fn width(&self) -> u32 {
         self.width

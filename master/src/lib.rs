@@ -1,9 +1,11 @@
 //! The service side: preparing a scene, dispatching tiles, assembling the image.
 //!
 //! A render is four calls: [`Cluster::start`] gets workers to join, [`Cluster::load`] gives them a pack, [`Cluster::render`] makes a
-//! frame, [`Cluster::stop`] sends them home.
+//! frame, [`Cluster::stop`] sends them home. [`Service`] does that for clients, one of which is [`Client`].
 
 mod admission;
+mod client;
+mod clients;
 mod cluster;
 pub mod compare;
 pub mod coordinator;
@@ -15,12 +17,15 @@ mod input;
 mod line;
 mod net;
 pub mod output;
+mod packs;
 pub mod prepare;
 pub mod report;
+mod service;
 mod session;
 mod spawn;
 mod transport;
 
+pub use client::{Client, ClientError};
 pub use cluster::{
     Cluster, ClusterConfig, ListenConfig, LoadError, LocalWorkers, RenderError, StartError, Workers,
 };
@@ -29,4 +34,5 @@ pub use frame::{FrameJob, FrameResult, Progress, Timings, Traffic, WorkerReport}
 pub use image::{FrameBuffer, ImageHash, PixelFormat};
 pub use output::{OutputError, OutputFile};
 pub use prepare::{PrepareError, PrepareOptions, Prepared};
+pub use service::Service;
 pub use transport::{Link, Pipes, Reader, Writer};

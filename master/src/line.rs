@@ -2,7 +2,7 @@
 
 use crate::{
     door::Guest,
-    transport::{Link, PipeError, Reader, Writer, read_message, read_raw, write_message},
+    transport::{Link, PipeError, Reader, Writer, read_message, read_raw, write_message, write_pack},
 };
 use std::{
     sync::{
@@ -12,9 +12,7 @@ use std::{
     time::Duration,
 };
 use tessera_pack::Pack;
-use tessera_wire::{
-    AbortCode, BatchHeader, FrameId, PackChunk, PackId, TileEntry, ToMaster, ToWorker, WorkerId, limits,
-};
+use tessera_wire::{AbortCode, BatchHeader, FrameId, TileEntry, ToMaster, ToWorker, WorkerId, limits};
 use tokio::{
     io::AsyncWriteExt,
     sync::mpsc,
@@ -232,29 +230,15 @@ async fn write_packs(
     counters: Arc<Counters>,
 ) {
     while let Some(pack) = wanted.recv().await {
-        if let Err(e) = write_pack(&mut pipe, &pack, &tell, &counters).await {
+        let sent = |header_bytes, bytes| {
+            counters.sent.fetch_add(header_bytes + bytes, Ordering::Relaxed);
+            counters.pack.fetch_add(bytes, Ordering::Relaxed);
+            // Only a progress bar misses it if the queue is full.
+            let _ = tell.try_send(Input::PackSent);
+        };
+        if let Err(e) = write_pack(&mut pipe, &pack, sent).await {
             let _ = tell.send(Input::Broken(worker, e)).await;
             return;
         }
     }
-}
-
-async fn write_pack(
-    pipe: &mut Writer,
-    pack: &Pack,
-    tell: &mpsc::Sender<Input>,
-    counters: &Counters,
-) -> Result<(), PipeError> {
-    let mut offset = 0;
-    for bytes in pack.bytes().chunks(limits::CHUNK_BYTES as usize) {
-        let chunk = PackChunk { pack: PackId(pack.id().0), offset, length: bytes.len() as u32 };
-        let header_bytes = write_message(pipe, &chunk).await?;
-        pipe.write_all(bytes).await?;
-        offset += bytes.len() as u64;
-        counters.sent.fetch_add(header_bytes + bytes.len() as u64, Ordering::Relaxed);
-        counters.pack.fetch_add(bytes.len() as u64, Ordering::Relaxed);
-        // Only a progress bar misses it if the queue is full.
-        let _ = tell.try_send(Input::PackSent);
-    }
-    Ok(pipe.flush().await?)
 }

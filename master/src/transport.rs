@@ -1,8 +1,13 @@
-//! A connection to one worker as four byte pipes, whatever carries them. The worker has the same few lines
+//! A connection to one peer as four byte pipes, whatever carries them. The worker has the same few lines
 //! for reading and writing: the rooms under `shared/` know no runtime.
 
 use std::io;
-use tessera_wire::codec::{self, CodecError, Message, PREFIX_BYTES};
+use tessera_pack::Pack;
+use tessera_wire::{
+    PackChunk, PackId,
+    codec::{self, CodecError, Message, PREFIX_BYTES},
+    limits,
+};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 
 /// A pipe that is read.
@@ -75,6 +80,23 @@ impl From<CodecError> for PipeError {
     }
 }
 
+/// Writes the chunks of a pack; `sent` is told of each how many bytes its header and its raw bytes took.
+pub(crate) async fn write_pack(
+    pipe: &mut Writer,
+    pack: &Pack,
+    mut sent: impl FnMut(u64, u64),
+) -> Result<(), PipeError> {
+    let mut offset = 0;
+    for bytes in pack.bytes().chunks(limits::CHUNK_BYTES as usize) {
+        let chunk = PackChunk { pack: PackId(pack.id().0), offset, length: bytes.len() as u32 };
+        let header_bytes = write_message(pipe, &chunk).await?;
+        pipe.write_all(bytes).await?;
+        offset += bytes.len() as u64;
+        sent(header_bytes, bytes.len() as u64);
+    }
+    Ok(pipe.flush().await?)
+}
+
 /// The next message of at most `limit` bytes, and the bytes it took; `None` at the end of the pipe.
 pub(crate) async fn read_message<M: Message>(
     pipe: &mut Reader,
@@ -112,7 +134,7 @@ pub(crate) async fn write_message<M: Message>(pipe: &mut Writer, message: &M) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tessera_wire::{ToMaster, limits};
+    use tessera_wire::ToMaster;
 
     #[tokio::test]
     async fn what_is_written_is_read_and_an_oversized_frame_is_not() {

@@ -22,7 +22,9 @@ impl Tessera {
 
     fn prepared(mut command: Command) -> Self {
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        command.env_remove("RUST_LOG").env_remove("TESSERA_SCENES").env_remove("NO_COLOR");
+        for variable in ["RUST_LOG", "TESSERA_SCENES", "TESSERA_JOIN", "NO_COLOR"] {
+            command.env_remove(variable);
+        }
         Self(command)
     }
 

@@ -21,6 +21,6 @@ pub use join::{JoinError, serve_master};
 pub use local::{run_local, serve_ticket};
 pub use net::{Closer, Connected, connect};
 pub use retry::{RetryConfig, stay};
-pub use serve::{Parting, Stop, WorkerConfig, WorkerError, WorkerPipes, serve};
+pub use serve::{Parting, Stop, WorkerConfig, WorkerError, WorkerPipes, free_memory, serve};
 pub use tessera_kdtree::Kernel;
 pub use tessera_whitted::NUMERIC_CLASS;

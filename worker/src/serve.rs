@@ -422,7 +422,7 @@ fn ending_to_result(ending: Ending) -> Result<Parting, WorkerError> {
 }
 
 /// Memory that the system could give without swapping, where it says so (Linux).
-pub(crate) fn free_memory() -> Option<u64> {
+pub fn free_memory() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)

@@ -2,6 +2,7 @@
 
 use super::progress::Progress;
 use super::render::{FrameArgs, Plan, WORKERS_MAX};
+use super::run::{Crew, LocalCrew};
 use super::{CommandError, PackingArgs};
 use clap::Args;
 use std::path::PathBuf;
@@ -33,7 +34,9 @@ pub struct DemoArgs {
 }
 
 pub fn run(args: DemoArgs, progress: &Progress) -> Result<(), CommandError> {
-    let plan = Plan::check(&args.out, None, args.workers, &args.frame, &args.packing)?;
+    let FrameArgs { threads, kernel, .. } = args.frame;
+    let crew = Crew::Local(LocalCrew { workers: args.workers, threads, kernel });
+    let plan = Plan::check(&args.out, None, crew, &args.frame, &args.packing)?;
     let prepared = {
         let _bar = progress.step("preparing the built-in scene");
         let start = Instant::now();

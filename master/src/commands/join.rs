@@ -33,7 +33,7 @@ pub fn is_file(given: Option<&str>) -> bool {
 }
 
 /// A join string, or `@FILE` that holds one; `place` is where it was given.
-fn parse(text: &str, place: &str) -> Result<JoinString, CommandError> {
+pub fn parse(text: &str, place: &str) -> Result<JoinString, CommandError> {
     match text.strip_prefix('@') {
         Some(path) => {
             let text =

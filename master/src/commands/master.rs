@@ -8,7 +8,7 @@ use clap::Args;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 use std::time::Duration;
-use tessera_master::{Cluster, ClusterConfig, ListenConfig, OutputFile, Progress};
+use tessera_master::{ListenConfig, OutputFile, Service};
 use tessera_wire::JoinString;
 use tessera_worker::NUMERIC_CLASS;
 
@@ -37,6 +37,9 @@ pub struct MasterArgs {
     /// How long the join string lets in strangers: a number with s, m, h or d, or `never` for no end
     #[arg(long, value_name = "TIME", default_value = "1h", value_parser = time_to_live)]
     token_ttl: Ttl,
+    /// Memory for scenes that clients send: a number of bytes, or with K, M, G or T [default: half of what is free]
+    #[arg(long, value_name = "SIZE", value_parser = size)]
+    packs: Option<u64>,
 }
 
 /// A token's time; `None`: no end.
@@ -52,25 +55,20 @@ pub fn run(args: MasterArgs) -> Result<(), CommandError> {
 
 async fn serve(args: MasterArgs) -> Result<(), CommandError> {
     let listen = address(&args.listen)?;
-    /// How long a frame without workers waits for one: a crew that restarts needs seconds, a person who starts one a minute.
-    const PATIENCE: Duration = Duration::from_secs(60);
-    let config = ClusterConfig { numeric_class: Some(NUMERIC_CLASS.to_owned()), patience: PATIENCE };
     let ttl = args.token_ttl.0;
     let at = ListenConfig { listen, advertise: args.advertise.clone(), token_ttl: ttl };
     let join_file = args.join_file.as_deref().map(OutputFile::check).transpose();
     let join_file = join_file.map_err(CommandError::failed)?.map(OutputFile::secret);
     // From here on a signal ends it in peace.
     let stop = asked_to_stop();
-    let (mut cluster, join) = Cluster::listen(config, at).map_err(CommandError::failed)?;
+    let packs = args.packs.unwrap_or_else(half_of_free_memory);
+    let class = Some(NUMERIC_CLASS.to_owned());
+    let (service, join) = Service::listen(class, at, packs).map_err(CommandError::failed)?;
     if let Some(file) = join_file {
         file.write_bytes(format!("{join}\n").as_bytes()).map_err(CommandError::failed)?;
     }
     announce(&join, &args, listen)?;
-    tokio::select! {
-        () = cluster.attend(log) => {}
-        signal = stop => tracing::info!("{signal}: sending the workers home"),
-    }
-    cluster.stop().await;
+    service.run(async { tracing::info!("{}: sending everybody home", stop.await) }).await;
     Ok(())
 }
 
@@ -92,15 +90,6 @@ fn announce(join: &JoinString, args: &MasterArgs, listen: SocketAddr) -> Result<
         }
     }
     Ok(())
-}
-
-fn log(progress: Progress<'_>) {
-    match progress {
-        Progress::WorkerJoined { name, peer } => tracing::info!("{name} has joined from {peer}"),
-        Progress::PackRejected { name, reason } => tracing::info!("{name} cannot hold the scene: {reason}"),
-        Progress::WorkerLost { name, reason } => tracing::info!("{name} is gone: {reason}"),
-        Progress::Sent { .. } | Progress::Tiles { .. } => {}
-    }
 }
 
 /// The address to bind.
@@ -129,6 +118,26 @@ fn time_to_live(text: &str) -> Result<Ttl, String> {
     time(text).map(|ttl| Ttl(Some(ttl))).map_err(|e| format!("{e}, or never"))
 }
 
+/// A number of bytes.
+fn size(text: &str) -> Result<u64, String> {
+    let (number, shift) = match text.char_indices().next_back() {
+        Some((end, 'K')) => (&text[..end], 10),
+        Some((end, 'M')) => (&text[..end], 20),
+        Some((end, 'G')) => (&text[..end], 30),
+        Some((end, 'T')) => (&text[..end], 40),
+        _ => (text, 0),
+    };
+    let bytes = number.parse::<u64>().ok().and_then(|n| n.checked_mul(1 << shift));
+    bytes.filter(|&bytes| bytes > 0).ok_or_else(|| "write a number of bytes, as in 800M or 16G".into())
+}
+
+/// What a master that knows no better lets clients fill.
+fn half_of_free_memory() -> u64 {
+    /// Where the system does not say what is free.
+    const UNKNOWN: u64 = 4 << 30;
+    tessera_worker::free_memory().unwrap_or(UNKNOWN) / 2
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -152,6 +161,17 @@ mod tests {
             "1é",
         ] {
             assert!(time_to_live(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn sizes() {
+        for (text, bytes) in [("1", 1), ("4K", 4096), ("800M", 800 << 20), ("16G", 16 << 30), ("1T", 1 << 40)]
+        {
+            assert_eq!(size(text), Ok(bytes));
+        }
+        for bad in ["", "G", "0", "0G", "-1", "1.5G", "1g", "99999999T", "1GB", "é"] {
+            assert!(size(bad).is_err(), "{bad}");
         }
     }
 

@@ -2,7 +2,7 @@
 
 use super::args::{Size, Triple, field_of_view};
 use super::progress::Progress;
-use super::run::{Crew, KernelChoice, Rendered, prepare_scene, render_frame};
+use super::run::{Crew, KernelChoice, LocalCrew, Rendered, prepare_scene, render_frame};
 use super::{CommandError, PackingArgs, SceneArgs};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -23,6 +23,7 @@ use tessera_wire::{Features, FrameError, TileGrid, limits};
     after_help = "Examples:\n\
         \x20 tessera render bunny.ply --out bunny.png\n\
         \x20 tessera render scenes/sponza.toml --out sponza.png --workers 4 --size 1920x1080 --spp 4\n\
+        \x20 tessera render scenes/sponza.toml --out sponza.png --master @join.txt\n\
         \x20 tessera render room.glb --out room.exr --eye -120,20,0 --target 0,45,-5 --fov 70\n\
         \x20 tessera render room.glb --out flat.png --without textures,shadows --report report.json"
 )]
@@ -35,6 +36,11 @@ pub struct RenderArgs {
     /// Local worker processes; 0 renders in this process
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=WORKERS_MAX))]
     workers: u32,
+    /// Render on the workers of a master elsewhere: its join string, or @FILE that holds it
+    ///
+    /// The scene is read and packed here; the pack is sent unless the master has it, and the picture comes back.
+    #[arg(long, value_name = "STRING|@FILE", conflicts_with_all = ["workers", "threads", "kernel"])]
+    master: Option<String>,
     #[command(flatten)]
     frame: FrameArgs,
 }
@@ -92,10 +98,10 @@ pub struct FrameArgs {
     /// Threads of each worker [default: the cores, shared out among the workers]
     #[arg(long, value_name = "N", help_heading = "Cluster")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=1024))]
-    threads: Option<u32>,
+    pub threads: Option<u32>,
     /// How rays are traced; the picture is the same
     #[arg(long, value_name = "KERNEL", value_enum, default_value_t, help_heading = "Cluster")]
-    kernel: KernelChoice,
+    pub kernel: KernelChoice,
     /// Write a JSON report of the render to a file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
@@ -114,8 +120,12 @@ enum Bits {
 }
 
 pub fn run(args: RenderArgs, progress: &Progress) -> Result<(), CommandError> {
-    let RenderArgs { scene, out, workers, frame } = args;
-    let plan = Plan::check(&out, Some(&scene.scene), workers, &frame, &scene.packing)?;
+    let RenderArgs { scene, out, workers, master, frame } = args;
+    let crew = match master {
+        Some(join) => Crew::Master(super::join::parse(&join, "--master")?),
+        None => Crew::Local(LocalCrew { workers, threads: frame.threads, kernel: frame.kernel }),
+    };
+    let plan = Plan::check(&out, Some(&scene.scene), crew, &frame, &scene.packing)?;
     let prepared = prepare_scene(&scene.scene, &scene.packing, progress)?;
     plan.render(&prepared, progress)
 }
@@ -126,7 +136,7 @@ pub struct Plan<'a> {
     report: Option<OutputFile>,
     format: PixelFormat,
     features: Features,
-    workers: u32,
+    crew: Crew,
     args: &'a FrameArgs,
 }
 
@@ -135,7 +145,7 @@ impl<'a> Plan<'a> {
     pub fn check(
         out: &Path,
         scene: Option<&Path>,
-        workers: u32,
+        crew: Crew,
         args: &'a FrameArgs,
         packing: &PackingArgs,
     ) -> Result<Self, CommandError> {
@@ -165,7 +175,7 @@ impl<'a> Plan<'a> {
                 }
             }
         }
-        Ok(Self { out, report, format, features, workers, args })
+        Ok(Self { out, report, format, features, crew, args })
     }
 
     /// Renders, writes the files and says what was done.
@@ -189,8 +199,7 @@ impl<'a> Plan<'a> {
             format: self.format,
             balance: args.balance,
         };
-        let crew = Crew { workers: self.workers, threads: args.threads, kernel: args.kernel };
-        let Rendered { frame, start } = render_frame(&prepared.pack, &job, crew, progress)?;
+        let Rendered { frame, start } = render_frame(&prepared.pack, &job, &self.crew, progress)?;
         let begin = Instant::now();
         frame.image.write(&self.out).map_err(CommandError::failed)?;
         let facts = RenderFacts {

@@ -5,10 +5,14 @@ use super::{CommandError, LogArgs, PackingArgs, args};
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tessera_master::prepare::{PrepareOptions, Prepared, prepare};
-use tessera_master::{Cluster, ClusterConfig, FrameJob, FrameResult, Link, LocalWorkers, Pipes, Workers};
+use tessera_master::{
+    Client, Cluster, ClusterConfig, FrameJob, FrameResult, Link, LocalWorkers, Pipes, Workers,
+};
 use tessera_pack::{Pack, Plain};
 use tessera_scene::{LoadOptions, Without};
-use tessera_worker::{Kernel, NUMERIC_CLASS, WorkerConfig, WorkerPipes};
+use tessera_trust::Identity;
+use tessera_wire::JoinString;
+use tessera_worker::{Connected, Kernel, NUMERIC_CLASS, WorkerConfig, WorkerPipes};
 
 impl PackingArgs {
     /// What the library is to do.
@@ -71,9 +75,18 @@ pub fn prepare_scene(
 }
 
 /// Where a frame is rendered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Crew {
+    /// On this machine.
+    Local(LocalCrew),
+    /// On the workers of a master elsewhere.
+    Master(JoinString),
+}
+
+/// Workers of this machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Crew {
-    /// Local worker processes; 0: in this process.
+pub struct LocalCrew {
+    /// Worker processes; 0: in this process.
     pub workers: u32,
     /// Threads that each renders with; `None`: the machine's cores shared out evenly.
     pub threads: Option<u32>,
@@ -117,7 +130,7 @@ impl KernelChoice {
 pub struct Rendered {
     /// The frame.
     pub frame: FrameResult,
-    /// From the first process started to the last worker joined.
+    /// From the first process started to the last worker joined, or until a master elsewhere has let this client in.
     pub start: Duration,
 }
 
@@ -125,20 +138,57 @@ pub struct Rendered {
 pub fn render_frame(
     pack: &Pack,
     job: &FrameJob,
-    crew: Crew,
+    crew: &Crew,
     progress: &Progress,
 ) -> Result<Rendered, CommandError> {
     let runtime = runtime()?;
-    let result = runtime.block_on(frame(pack, job, crew, progress));
+    let result = runtime.block_on(async {
+        match crew {
+            Crew::Local(crew) => frame(pack, job, *crew, progress).await,
+            Crew::Master(join) => frame_elsewhere(pack, job, join, progress).await,
+        }
+    });
     // An in-process worker may still be in the middle of a tile that nobody waits for.
     runtime.shutdown_background();
     result
 }
 
+/// As [`frame`], by a master elsewhere.
+async fn frame_elsewhere(
+    pack: &Pack,
+    job: &FrameJob,
+    join: &JoinString,
+    progress: &Progress,
+) -> Result<Rendered, CommandError> {
+    let begin = Instant::now();
+    let own = Identity::new().map_err(CommandError::failed)?;
+    let Connected { pipes, closer } = {
+        let _bar = progress.step(format!("connecting to {}", join.address()));
+        tessera_worker::connect(join, &own).await.map_err(CommandError::failed)?
+    };
+    let WorkerPipes { control_in, control_out, bulk_in, bulk_out } = pipes;
+    let pipes = Pipes { control_in, control_out, bulk_in, bulk_out };
+    let mut client =
+        Client::join(pipes, join.token, super::worker::own_name()).await.map_err(CommandError::failed)?;
+    let start = begin.elapsed();
+    tracing::info!("the master at {} has let this client in after {start:.1?}", join.address());
+    {
+        let bar = progress.bytes("sending the scene");
+        let took = client.load(pack, |event| show(&bar, &event)).await.map_err(CommandError::failed)?;
+        tracing::info!("the master holds the scene after {took:.1?}");
+    }
+    let frame = {
+        let bar = progress.parts("rendering tiles");
+        client.render(job, |event| show(&bar, &event)).await.map_err(CommandError::failed)?
+    };
+    closer.close(false).await;
+    Ok(Rendered { frame, start })
+}
+
 async fn frame(
     pack: &Pack,
     job: &FrameJob,
-    crew: Crew,
+    crew: LocalCrew,
     progress: &Progress,
 ) -> Result<Rendered, CommandError> {
     let begin = Instant::now();
@@ -172,6 +222,12 @@ fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
         tessera_master::Progress::PackRejected { name, reason } => {
             tracing::warn!("{name} cannot hold the scene: {reason}; the others render it");
         }
+        tessera_master::Progress::Waiting { ahead } => {
+            tracing::warn!("waiting: the master renders for others first ({ahead} before this frame)");
+        }
+        tessera_master::Progress::NoWorkers => {
+            tracing::warn!("waiting: no worker has joined the master yet");
+        }
         tessera_master::Progress::WorkerJoined { name, peer } => {
             tracing::debug!("{name} has joined from {peer}");
         }
@@ -181,7 +237,7 @@ fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
     }
 }
 
-fn workers(crew: Crew, log: &LogArgs) -> Result<Workers, CommandError> {
+fn workers(crew: LocalCrew, log: &LogArgs) -> Result<Workers, CommandError> {
     if crew.workers == 0 {
         return Ok(Workers::Links(vec![worker_here(
             crew.threads.unwrap_or_else(cores),

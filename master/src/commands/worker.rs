@@ -144,7 +144,7 @@ fn name(text: &str) -> Result<String, String> {
 }
 
 /// `HOST-PROCESS`, as far as the system says.
-fn own_name() -> String {
+pub fn own_name() -> String {
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let host = name(host.trim()).unwrap_or_else(|_| "worker".into());
     format!("{host}-{}", std::process::id())

@@ -1,6 +1,6 @@
 //! Headers on the bulk pipes; raw bytes follow each.
 
-use crate::{Attempt, FrameId, PackId, TileId, limits};
+use crate::{Attempt, FrameId, PackId, PackRefusal, TileId, limits};
 use bincode::{Decode, Encode};
 
 /// Master to worker: `length` raw bytes of a pack follow. Chunks come in order, without gaps.
@@ -12,6 +12,43 @@ pub struct PackChunk {
     pub offset: u64,
     /// Raw bytes that follow, 1..=[`limits::CHUNK_BYTES`].
     pub length: u32,
+}
+
+/// How far a pack has come whose chunks arrive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PackProgress {
+    pack: PackId,
+    length: u64,
+    filled: u64,
+}
+
+impl PackProgress {
+    /// Nothing of `pack`, which has `length` bytes.
+    pub fn new(pack: PackId, length: u64) -> Self {
+        Self { pack, length, filled: 0 }
+    }
+
+    /// Whether all bytes are in.
+    pub fn is_complete(&self) -> bool {
+        self.filled == self.length
+    }
+
+    /// Where in the pack the raw bytes of `chunk` go. It must be the next one of this pack, and fit.
+    pub fn accept(&mut self, chunk: &PackChunk) -> Result<std::ops::Range<u64>, PackRefusal> {
+        let wrong = |detail: String| Err(PackRefusal::Transfer { detail });
+        let (filled, missing) = (self.filled, self.length - self.filled);
+        if chunk.pack != self.pack {
+            return wrong(format!("a chunk of pack {} instead of {}", chunk.pack, self.pack));
+        }
+        if chunk.offset != filled {
+            return wrong(format!("a chunk at {} instead of {filled}", chunk.offset));
+        }
+        if chunk.length == 0 || chunk.length > limits::CHUNK_BYTES || u64::from(chunk.length) > missing {
+            return wrong(format!("a chunk of {} bytes, {missing} are missing", chunk.length));
+        }
+        self.filled += u64::from(chunk.length);
+        Ok(filled..self.filled)
+    }
 }
 
 /// Worker to master: the raw pixels of `tiles` follow, one tile after the other.
@@ -78,5 +115,36 @@ impl BatchHeader {
             }
             None => Ok(()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chunks_come_in_order_and_fit() {
+        let pack = PackId([1; 32]);
+        let chunk = |offset, length| PackChunk { pack, offset, length };
+        let mut progress = PackProgress::new(pack, 10);
+        assert_eq!(progress.accept(&chunk(0, 4)), Ok(0..4));
+        let wrong = [
+            chunk(0, 4),
+            chunk(5, 4),
+            chunk(4, 7),
+            chunk(4, 0),
+            chunk(4, u32::MAX),
+            chunk(u64::MAX, 4),
+            PackChunk { pack: PackId([2; 32]), ..chunk(4, 6) },
+        ];
+        for chunk in wrong {
+            let refused = progress.accept(&chunk);
+            assert!(matches!(refused, Err(PackRefusal::Transfer { .. })), "{refused:?}");
+        }
+        assert!(!progress.is_complete());
+        assert_eq!(progress.accept(&chunk(4, 6)), Ok(4..10));
+        assert!(progress.is_complete());
+        let mut large = PackProgress::new(pack, 1 << 40);
+        assert!(large.accept(&chunk(0, limits::CHUNK_BYTES + 1)).is_err());
     }
 }

@@ -3,7 +3,10 @@
 //! A length is checked against the caller's limit before anything is reserved, bincode counts what it would
 //! reserve for lists and texts against the same limit, and bytes left over after a message are an error.
 
-use crate::{BatchHeader, Hello, LocalTicket, PackChunk, Refusal, ToMaster, ToWorker, Version, limits};
+use crate::{
+    BatchHeader, FrameSummary, FromClient, Hello, LocalTicket, PackChunk, Refusal, ToClient, ToMaster,
+    ToWorker, Version, limits,
+};
 use bincode::{Decode, Encode, config};
 
 /// Bytes before each encoded message.
@@ -30,6 +33,15 @@ impl Message for ToMaster {
 }
 impl Message for ToWorker {
     const LIMIT: usize = limits::CONTROL_BYTES;
+}
+impl Message for FromClient {
+    const LIMIT: usize = limits::CONTROL_BYTES;
+}
+impl Message for ToClient {
+    const LIMIT: usize = limits::CONTROL_BYTES;
+}
+impl Message for FrameSummary {
+    const LIMIT: usize = limits::HEADER_BYTES;
 }
 impl Message for PackChunk {
     const LIMIT: usize = limits::CHUNK_HEADER_BYTES;

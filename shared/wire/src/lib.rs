@@ -5,12 +5,15 @@
 //!
 //! A connection has a **control** pipe in both directions ([`ToMaster`], [`ToWorker`]) and a **bulk** pipe in
 //! both directions ([`PackChunk`] towards the worker, [`BatchHeader`] towards the master), whose frames are
-//! followed by raw bytes.
+//! followed by raw bytes. A client speaks the same way ([`FromClient`], [`ToClient`]; [`PackChunk`] towards the master,
+//! [`FrameSummary`] towards the client).
 
 pub mod codec;
 pub mod limits;
 
+mod balance;
 mod bulk;
+mod client;
 mod error;
 mod frame;
 mod grid;
@@ -20,7 +23,9 @@ mod message;
 mod ticket;
 mod version;
 
-pub use bulk::{BatchHeader, PackChunk, Rays, TileEntry};
+pub use balance::Balance;
+pub use bulk::{BatchHeader, PackChunk, PackProgress, Rays, TileEntry};
+pub use client::{FrameFailure, FrameSummary, FromClient, ToClient, WorkerSummary};
 pub use error::{AbortCode, PackRefusal, Refusal, plain_text};
 pub use frame::{Camera, Features, Frame, FrameError, PixelFormat, ReturnMode};
 pub use grid::{Rect, TileGrid};

@@ -84,6 +84,12 @@ pub const INCOMING: usize = 64;
 /// Workers that a master takes, all of them in each frame's report.
 pub const WORKERS: usize = 1024;
 
+/// Clients that a master takes, and so frames that wait at it.
+pub const CLIENTS: usize = 32;
+
+/// How long a client may neither take nor give a byte in the middle of a transfer.
+pub const CLIENT_TIMEOUT: Duration = Duration::from_secs(60);
+
 /// Wanted kernel buffers of a UDP socket: 32 ms at 1 Gbit/s, so that a busy receiver does not lose packets.
 pub const SOCKET_BUFFER_BYTES: usize = 4 << 20;
 

@@ -5,7 +5,7 @@ mod samples;
 
 use std::fmt::Write;
 use tessera_wire::codec::{self, Message};
-use tessera_wire::{Hello, Refusal, ToMaster, ToWorker, Version, limits};
+use tessera_wire::{FromClient, Hello, Refusal, ToClient, ToMaster, ToWorker, Version, limits};
 
 #[test]
 fn every_message_keeps_its_bytes() {
@@ -16,6 +16,13 @@ fn every_message_keeps_its_bytes() {
     for (name, message) in samples::to_worker() {
         line(&mut text, &format!("to worker, {name}"), &message);
     }
+    for (name, message) in samples::from_client() {
+        line(&mut text, &format!("from client, {name}"), &message);
+    }
+    for (name, message) in samples::to_client() {
+        line(&mut text, &format!("to client, {name}"), &message);
+    }
+    line(&mut text, "bulk, frame summary", &samples::summary());
     line(&mut text, "bulk, pack chunk", &samples::chunk());
     line(&mut text, "bulk, batch", &samples::batch());
     line(&mut text, "stdin, ticket", &samples::ticket());
@@ -74,6 +81,17 @@ fn peers_of_other_versions_part_with_a_reason() {
     assert_eq!(codec::decode_hello(&disjoint), Err(refused.clone()), "a newer one that does not");
     // What they are told reads the same in every version.
     assert_eq!(body(&ToWorker::Refuse(Refusal::Version { supported: vec![1] })), [1, 0, 1, 1]);
+}
+
+#[test]
+fn before_the_answer_a_worker_and_a_client_look_alike() {
+    let own = hello(&[2]);
+    assert_eq!(body(&ToMaster::Hello(own.clone())), body(&FromClient::Hello(own)));
+    for (_, message) in samples::to_worker() {
+        if let ToWorker::Refuse(refusal) = message {
+            assert_eq!(body(&ToWorker::Refuse(refusal.clone())), body(&ToClient::Refuse(refusal)));
+        }
+    }
 }
 
 #[test]

@@ -46,6 +46,9 @@ fn decode_as_everything(body: &[u8]) {
     assert!(LARGEST.get() <= limits::HELLO_BYTES, "{} bytes for a `Hello`", LARGEST.get());
     let _ = decode_checked::<ToMaster>(body);
     let _ = decode_checked::<ToWorker>(body);
+    let _ = decode_checked::<FromClient>(body);
+    let _ = decode_checked::<ToClient>(body);
+    let _ = decode_checked::<FrameSummary>(body);
     let _ = decode_checked::<PackChunk>(body);
     let _ = decode_checked::<LocalTicket>(body);
     if let Ok(batch) = decode_checked::<BatchHeader>(body) {
@@ -58,6 +61,9 @@ fn all_bodies() -> Vec<Vec<u8>> {
     let mut frames = Vec::new();
     frames.extend(samples::to_master().iter().map(|(_, m)| codec::encode(m).unwrap()));
     frames.extend(samples::to_worker().iter().map(|(_, m)| codec::encode(m).unwrap()));
+    frames.extend(samples::from_client().iter().map(|(_, m)| codec::encode(m).unwrap()));
+    frames.extend(samples::to_client().iter().map(|(_, m)| codec::encode(m).unwrap()));
+    frames.push(codec::encode(&samples::summary()).unwrap());
     frames.push(codec::encode(&samples::chunk()).unwrap());
     frames.push(codec::encode(&samples::batch()).unwrap());
     frames.push(codec::encode(&samples::ticket()).unwrap());
@@ -173,6 +179,25 @@ fn the_largest_honest_messages_fit() {
     assert_eq!(decode_checked::<BatchHeader>(&frame[codec::PREFIX_BYTES..]), Ok(batch));
 
     let text = |letter: &str| letter.repeat(limits::TEXT_BYTES);
+    let worker = WorkerSummary {
+        name: text("n"),
+        tiles: u32::MAX,
+        render_us: u64::MAX,
+        bytes_returned: u64::MAX,
+        lost: Some(text("l")),
+        rejected: Some(text("r")),
+    };
+    let summary = FrameSummary {
+        length: u64::MAX,
+        numeric_class: text("c"),
+        workers: vec![worker; limits::WORKERS],
+        times_us: [u64::MAX; 4],
+        traffic: [u64::MAX; 4],
+        rays,
+        ..samples::summary()
+    };
+    let frame = codec::encode(&summary).unwrap();
+    assert_eq!(decode_checked::<FrameSummary>(&frame[codec::PREFIX_BYTES..]), Ok(summary));
     let hello = Hello {
         versions: vec![u16::MAX - 1, 2].into_iter().cycle().take(limits::VERSIONS).collect(),
         token: Token([0xFF; 16]),

@@ -80,6 +80,66 @@ pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
     ]
 }
 
+pub fn from_client() -> Vec<(&'static str, FromClient)> {
+    let hello = Hello { versions: vec![2], token: Token([0x5C; 16]), name: "c0".into(), role: Role::Client };
+    let render = |balance| FromClient::Render { frame: frame(), balance };
+    vec![
+        ("hello", FromClient::Hello(hello)),
+        ("pack offer", FromClient::PackOffer { pack: PACK, length: 5_000_000_000 }),
+        ("render: paper static", render(Balance::PaperStatic)),
+        ("render: static", render(Balance::Static)),
+        ("render: paper dynamic", render(Balance::PaperDynamic)),
+        ("render: dynamic", render(Balance::Dynamic)),
+        ("abort", FromClient::Abort { code: AbortCode::Done, detail: "d".into() }),
+    ]
+}
+
+pub fn to_client() -> Vec<(&'static str, ToClient)> {
+    let (name, reason) = (|| "w0".to_string(), || "r".to_string());
+    let failed = |reason| ToClient::Failed { frame: FrameId(7), reason };
+    let rejected = PackRefusal::OutOfMemory { needs: 1000, has: 100 };
+    vec![
+        ("welcome", ToClient::Welcome { version: 2 }),
+        ("refuse", ToClient::Refuse(Refusal::Token)),
+        ("pack need", ToClient::PackNeed { pack: PACK, have: true }),
+        ("pack ready", ToClient::PackReady { pack: PACK }),
+        ("pack rejected", ToClient::PackRejected { pack: PACK, reason: rejected }),
+        ("waiting", ToClient::Waiting { ahead: 3 }),
+        ("no workers", ToClient::NoWorkers),
+        ("sent", ToClient::Sent { bytes: 1 << 20, total: 1 << 33 }),
+        ("tiles", ToClient::Tiles { done: 3, total: 300 }),
+        ("worker lost", ToClient::WorkerLost { name: name(), reason: reason() }),
+        ("worker rejects", ToClient::WorkerRejects { name: name(), reason: reason() }),
+        ("finished", ToClient::Finished { frame: FrameId(7) }),
+        ("failed: busy", failed(FrameFailure::Busy { waiting: 32 })),
+        ("failed: invalid", failed(FrameFailure::Invalid { detail: reason() })),
+        ("failed: crew", failed(FrameFailure::Crew { detail: reason() })),
+        ("failed: stopping", failed(FrameFailure::Stopping)),
+        ("abort", ToClient::Abort { code: AbortCode::Timeout, detail: reason() }),
+    ]
+}
+
+pub fn summary() -> FrameSummary {
+    let worker = |lost, rejected| WorkerSummary {
+        name: "w0".into(),
+        tiles: 48,
+        render_us: 1 << 20,
+        bytes_returned: 1 << 33,
+        lost,
+        rejected,
+    };
+    FrameSummary {
+        frame: FrameId(7),
+        length: 1024 * 768 * 4,
+        numeric_class: "cpu-1".into(),
+        workers: vec![worker(None, None), worker(Some("l".into()), Some("r".into()))],
+        times_us: [1, 2, 300, 302],
+        traffic: [4, 5, 6, 70_000],
+        rays: Rays { primary: 16_384, shadow: 16_000, reflection: 100, refraction: 0 },
+        dropped_tiles: 9,
+    }
+}
+
 pub fn chunk() -> PackChunk {
     PackChunk { pack: PACK, offset: 1 << 20, length: 1 << 20 }
 }
