@@ -57,12 +57,20 @@ fn every_format_and_sample_count_is_one_image_on_every_crew() {
         ("deep.png", "--size 67x45 --bits 16 --spp 2"),
         ("plain.png", "--size 67x45 --without shadows,reflection,refraction"),
     ] {
-        let hashes = ["--workers 0 --threads 2", "--workers 3 --threads 1 --tile 16"].map(|crew| {
+        let crews = [
+            "--workers 0 --threads 2 --kernel scalar",
+            "--workers 0 --threads 2 --kernel wide",
+            "--workers 3 --threads 1 --tile 16 --kernel auto",
+        ];
+        let reports = crews.map(|crew| {
             let run = Tessera::new(["render", "box.tpack", "--out", out, "--json"]).within(folder.path());
-            let report = run.args(args.split(' ')).args(crew.split(' ')).run().json();
-            hash(&report).to_owned()
+            run.args(args.split(' ')).args(crew.split(' ')).run().json()
         });
-        assert_eq!(hashes[0], hashes[1], "{out} {args}");
+        for report in &reports {
+            assert_eq!(hash(report), hash(&reports[0]), "{out} {args}, kernel {}", report["kernel"]);
+        }
+        assert_eq!(reports[0]["kernel"], "scalar");
+        assert!(reports[1]["kernel"].as_str().is_some_and(|name| name.starts_with("8-wide")));
     }
 }
 

@@ -1,13 +1,13 @@
-//! The watertight ray/triangle test (Woop, Benthin, Wald 2013), with edges ordered by position.
+//! The watertight ray/triangle test (Woop, Benthin, Wald 2013).
 //!
 //! **Why no ray slips between two triangles.** The test moves the ray to the origin, shears it onto +z and asks on which
 //! side of each projected edge the origin lies. The sheared endpoints depend on the ray and the vertex position alone, so
 //! both triangles of an edge see the same numbers. `a * b - c * d` of rounded products never has the wrong sign, because
 //! rounding is monotone: it can only come out as 0. Then the products are taken in `f64`, where products of two `f32` are
-//! exact (48 of 53 bits). Each edge function is evaluated with its endpoints in lexicographic order of *position* and
-//! negated when they were swapped, so that both triangles do the same operations even where products are fused with sums;
-//! by position and not by index, because vertices that were split for their texture coordinates or never welded share a
-//! position only. An edge function of 0 counts as inside: two triangles may both report a shared edge, never neither.
+//! exact (48 of 53 bits). Nothing is fused, so the edge function of swapped endpoints is the exact negative, and both triangles
+//! come to one verdict. (A device that may fuse products with sums must evaluate each edge on its endpoints in lexicographic
+//! order of *position*; by index will not do, because vertices that were split or never welded share a
+//! position only.) An edge function of 0 counts as inside: two triangles may both report a shared edge, never neither.
 //!
 //! **How far off it can be.** Moving and shearing in `f32` shifts a vertex, seen from the ray, by at most [`LATERAL_ERROR`] times
 //! its largest coordinate relative to the origin. So the ray that is said to hit passes the triangle within that distance,
@@ -26,6 +26,8 @@ pub struct RayShear {
     x: f32,
     /// `direction[ky] / direction[kz]`, in [-1, 1].
     y: f32,
+    /// `1 / direction[kz]`.
+    per_depth: f32,
 }
 
 impl RayShear {
@@ -43,7 +45,7 @@ impl RayShear {
         // Woop, Benthin and Wald swap the other two axes where the direction points down kz, to keep the winding. Neither
         // verdict nor quotients of edge functions depend on that.
         let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
-        Self { k: [kx, ky, kz], x: d[kx] / d[kz], y: d[ky] / d[kz] }
+        Self { k: [kx, ky, kz], x: d[kx] / d[kz], y: d[ky] / d[kz], per_depth: d[kz].recip() }
     }
 }
 
@@ -83,22 +85,24 @@ pub fn intersect(ray: &Ray, shear: &RayShear, vertices: [Vec3; 3], t_max: f32) -
     };
     let [a, b, c] = [project(vertices[0]), project(vertices[1]), project(vertices[2])];
 
-    // Find on which side of each edge the origin lies.
-    let [swap_u, swap_v, swap_w] = [
-        precedes(vertices[1], vertices[2]),
-        precedes(vertices[2], vertices[0]),
-        precedes(vertices[0], vertices[1]),
-    ];
-    let sides = [edge(c, b, swap_u), edge(a, c, swap_v), edge(b, a, swap_w)];
+    // Find on which side of each edge the origin lies. An edge function that is not 0 has the right sign.
+    let sides = [edge(c, b), edge(a, c), edge(b, a)];
+    if !is_inside(sides) {
+        return None;
+    }
 
     // Decide exactly when the origin is too close to an edge for f32.
-    let is_hit = if sides.contains(&0.0) {
-        let sides = [edge_exact(c, b, swap_u), edge_exact(a, c, swap_v), edge_exact(b, a, swap_w)];
-        is_inside(sides) && sides != [0.0; 3]
-    } else {
-        is_inside(sides)
-    };
-    if !is_hit {
+    if (sides[0] == 0.0) | (sides[1] == 0.0) | (sides[2] == 0.0) {
+        let sides = [edge_exact(c, b), edge_exact(a, c), edge_exact(b, a)];
+        if !is_inside(sides) || sides == [0.0; 3] {
+            return None;
+        }
+    }
+
+    // Leave out a triangle that lies wholly outside the range: the distance is between those of its vertices.
+    let depth = |v: Vec3| (v.to_array()[kz] - ray.origin.to_array()[kz]) * shear.per_depth;
+    let (p, q, r) = (depth(vertices[0]), depth(vertices[1]), depth(vertices[2]));
+    if p.min(q).min(r) * DEPTH_SHORTER > t_max || p.max(q).max(r) * DEPTH_LONGER < ray.t_min {
         return None;
     }
 
@@ -107,34 +111,29 @@ pub fn intersect(ray: &Ray, shear: &RayShear, vertices: [Vec3; 3], t_max: f32) -
     (crossing.t > ray.t_min && crossing.t <= t_max).then_some(crossing)
 }
 
-/// Whether three edge functions agree on the side; false when one is NaN.
+/// Factors that carry a depth that was computed in `f32` beyond its error: of the difference, the inverse, their product and the
+/// rounding of the reported distance. (A product that underflows comes out as 0 or near it, where no range of a scene ends.)
+pub(crate) const DEPTH_SHORTER: f32 = 1.0 - 2.0 * gamma(4);
+pub(crate) const DEPTH_LONGER: f32 = 1.0 + 2.0 * gamma(4);
+
+/// Whether three edge functions agree on the side; false when one is NaN. Without branches: neither outcome is the likely one.
 #[inline]
-fn is_inside<T: PartialOrd + Default>(sides: [T; 3]) -> bool {
+fn is_inside<T: PartialOrd + Default>([u, v, w]: [T; 3]) -> bool {
     let zero = T::default();
-    sides.iter().all(|s| *s >= zero) || sides.iter().all(|s| *s <= zero)
+    ((u >= zero) & (v >= zero) & (w >= zero)) | ((u <= zero) & (v <= zero) & (w <= zero))
 }
 
-/// Whether `a` comes before `b` in lexicographic order of position, without branches: neither outcome is the likely one.
+/// Twice the signed area of the triangle (origin, `p`, `q`).
 #[inline]
-fn precedes(a: Vec3, b: Vec3) -> bool {
-    (a.x < b.x) | ((a.x == b.x) & ((a.y < b.y) | ((a.y == b.y) & (a.z < b.z))))
-}
-
-/// Twice the signed area of the triangle (origin, `p`, `q`), evaluated on `(q, p)` and negated when `swap`.
-#[inline]
-fn edge(p: [f32; 2], q: [f32; 2], swap: bool) -> f32 {
-    let (first, second) = if swap { (q, p) } else { (p, q) };
-    let area = first[0] * second[1] - first[1] * second[0];
-    if swap { -area } else { area }
+fn edge(p: [f32; 2], q: [f32; 2]) -> f32 {
+    p[0] * q[1] - p[1] * q[0]
 }
 
 /// [`edge`] with exact products, so that its sign is the exact sign for the given `f32` endpoints.
 #[cold]
-fn edge_exact(p: [f32; 2], q: [f32; 2], swap: bool) -> f64 {
+fn edge_exact(p: [f32; 2], q: [f32; 2]) -> f64 {
     let [p, q] = [p, q].map(|e| e.map(f64::from));
-    let (first, second) = if swap { (q, p) } else { (p, q) };
-    let area = first[0] * second[1] - first[1] * second[0];
-    if swap { -area } else { area }
+    p[0] * q[1] - p[1] * q[0]
 }
 
 /// The point of the triangle that `ray`, which is said to hit it, passes: in `f64` from the exact vertices, rounded once; a function
@@ -344,7 +343,7 @@ mod tests {
 
     /// `p` and `q` as the test of `r` sees them.
     fn sheared(r: &Ray, points: [Vec3; 2]) -> [[f32; 2]; 2] {
-        let RayShear { k: [kx, ky, kz], x, y } = RayShear::new(r);
+        let RayShear { k: [kx, ky, kz], x, y, .. } = RayShear::new(r);
         points.map(|v| {
             let v = (v - r.origin).to_array();
             [v[kx] - x * v[kz], v[ky] - y * v[kz]]
@@ -366,9 +365,9 @@ mod tests {
             let r = ray(o, a + (b - a) * along - o);
             prop_assume!(r.is_traceable());
             let [p, q] = sheared(&r, [a, b]);
-            let (forth, back) = (edge(p, q, precedes(b, a)), edge(q, p, precedes(a, b)));
+            let (forth, back) = (edge(p, q), edge(q, p));
             prop_assert_eq!(forth, -back);
-            let (exact, exact_back) = (edge_exact(p, q, precedes(b, a)), edge_exact(q, p, precedes(a, b)));
+            let (exact, exact_back) = (edge_exact(p, q), edge_exact(q, p));
             prop_assert_eq!(exact, -exact_back);
             prop_assert!(forth == 0.0 || f64::from(forth).signum() == exact.signum());
         }

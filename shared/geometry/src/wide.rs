@@ -4,8 +4,8 @@
 //! the same numbers, without fused operations, so the answers are the same in every bit on every instruction set. What is
 //! rare and branches (an edge within rounding of a ray, a point on an edge) is left to the test of a single ray itself.
 
-use crate::rounding::{UNIT_ROUNDOFF, gamma};
-use crate::triangle::{RayShear, intersect};
+use crate::rounding::UNIT_ROUNDOFF;
+use crate::triangle::{DEPTH_LONGER, DEPTH_SHORTER, RayShear, intersect};
 use crate::{Ray, Vec3};
 use fearless_simd::{Simd, f32x8, f64x4, mask32x8, prelude::*};
 
@@ -357,10 +357,6 @@ struct Candidates {
     /// Lanes of `clear` that cross it strictly inside their range, wherever in the triangle.
     certain: u8,
 }
-
-/// Factors that carry a computed depth beyond its error of three roundings, and the rounding of the reported distance.
-const DEPTH_SHORTER: f32 = 1.0 - 2.0 * gamma(4);
-const DEPTH_LONGER: f32 = 1.0 + 2.0 * gamma(4);
 
 /// The lanes of a mask.
 #[inline(always)]
