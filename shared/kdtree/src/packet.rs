@@ -5,19 +5,17 @@
 //! least the cells that it would meet alone, and no cell decides about a hit: the answers are the same in every bit.
 //!
 //! Rays of one packet agree in the signs of their direction, so that all of them pass a node's cells in the same order, and in its
-//! largest component. Eight rays that do not are split into such classes. A class, or what is left of one in some subtree, of
-//! fewer than [`PACKET_MIN`] rays goes on ray by ray.
+//! largest component. Eight rays that do not are split into such classes. A class is never handed to the single-ray code, however few
+//! of its rays are left: one lane of eight takes its steps no slower than that, and tests triangles faster (measured: 1.2 to 1.4
+//! times over a fallback below three rays, for coherent and for diffuse rays).
 
 use crate::kernel::{Kernel, dispatch};
 use crate::node::{MAX_DEPTH, Node};
-use crate::traverse::{Line, MARGIN, Search, THICKNESS, TreeView, Triangles};
+use crate::traverse::{MARGIN, THICKNESS, TreeView, Triangles};
 use arrayvec::ArrayVec;
 use fearless_simd::{Simd, f32x8, mask32x8, prelude::*, u32x8};
 use tessera_geometry::wide::{LANES, WideCrossing, WideRays, WideShear, lanes_in, lanes_of};
 use tessera_geometry::{Aabb, Hit, Ray, Vec3};
-
-/// Rays that are worth a packet.
-const PACKET_MIN: u32 = 3;
 
 impl TreeView<'_> {
     /// [`TreeView::closest_hit`] of those of eight rays whose bit is set in `lanes`, accepting every hit; `None` for the others.
@@ -393,79 +391,75 @@ impl<S: Simd, T: Triangles> Packet<'_, S, T> {
         let WideLine { mut t0, mut t1, .. } = *self.line;
         let (mut at, mut lanes) = (0u32, class);
         loop {
-            if lanes.count_ones() < PACKET_MIN {
-                self.go_on_alone::<ANY>(lanes, at, (t0, t1), best, accept);
+            let node = Node(self.tree.slots[at as usize]);
+            if node.is_leaf() {
+                // Test the triangles of the cell.
+                match node.count() {
+                    0 => {}
+                    1 => _ = self.test::<ANY>(node.payload(), lanes, best, accept),
+                    count => {
+                        let first = node.payload() as usize;
+                        for &id in &self.tree.list[first..first + count as usize] {
+                            self.test::<ANY>(id, lanes, best, accept);
+                        }
+                    }
+                }
             } else {
-                let node = Node(self.tree.slots[at as usize]);
-                if node.is_leaf() {
-                    // Test the triangles of the cell.
-                    match node.count() {
-                        0 => {}
-                        1 => _ = self.test::<ANY>(node.payload(), lanes, best, accept),
-                        count => {
-                            let first = node.payload() as usize;
-                            for &id in &self.tree.list[first..first + count as usize] {
-                                self.test::<ANY>(id, lanes, best, accept);
-                            }
-                        }
+                // Test the references early, and stop rays that need not enter.
+                let left = at + node.size();
+                if node.refs() > 0 {
+                    let [first, second] = self.tree.slots[at as usize + 1];
+                    let mut found = self.test::<ANY>(first, lanes, best, accept);
+                    if node.refs() > 1 {
+                        found |= self.test::<ANY>(second, lanes, best, accept);
                     }
-                } else {
-                    // Test the references early, and stop rays that need not enter.
-                    let left = at + node.size();
-                    if node.refs() > 0 {
-                        let [first, second] = self.tree.slots[at as usize + 1];
-                        let mut found = self.test::<ANY>(first, lanes, best, accept);
-                        if node.refs() > 1 {
-                            found |= self.test::<ANY>(second, lanes, best, accept);
-                        }
-                        if found != 0 {
-                            lanes &= if ANY { !best.found } else { !best.nearer_than(t0) };
-                            t1 = best.t.simd_lt(t1).select(best.t, t1);
-                        }
+                    if found != 0 {
+                        lanes &= if ANY { !best.found } else { !best.nearer_than(t0) };
+                        t1 = best.t.simd_lt(t1).select(best.t, t1);
                     }
-                    if lanes != 0 {
-                        let axis = node.axis();
-                        let split = f32x8::splat(t0.token(), node.split());
-                        let offset = split - self.line.origin[axis];
-                        let right = node.right();
-                        if self.parallel >> axis & 1 == 1 {
-                            // The rays are parallel to the plane: each on one side of it, or as thick as it is in it.
-                            let radius = self.line.radius;
-                            let to_left = lanes & lanes_of(offset.simd_ge(-radius));
-                            let to_right = lanes & lanes_of(offset.simd_le(radius));
-                            if to_left == 0 {
-                                (at, lanes) = (right, to_right);
-                            } else {
-                                if to_right != 0 {
-                                    stack.push(Waiting { at: right, lanes: to_right, t0, t1 });
-                                }
-                                (at, lanes) = (left, to_left);
-                            }
-                            continue;
-                        }
-
-                        // Find where the rays come to the plane and leave it.
-                        let (first, second) =
-                            if self.backward >> axis & 1 == 1 { (right, left) } else { (left, right) };
-                        let to_plane = offset * self.line.inverse[axis];
-                        let slack = self.line.slack[axis];
-                        let (enter, leave) = (to_plane - slack, to_plane + slack);
-
-                        // Go on in the cells that any of them passes.
-                        let in_first = lanes & lanes_of(leave.simd_ge(t0 * (1.0 - MARGIN)));
-                        let in_second = lanes & lanes_of(enter.simd_le(t1 * (1.0 + MARGIN)));
-                        if in_second == 0 {
-                            at = first;
-                        } else if in_first == 0 {
-                            at = second;
+                }
+                if lanes != 0 {
+                    let axis = node.axis();
+                    let split = f32x8::splat(t0.token(), node.split());
+                    let offset = split - self.line.origin[axis];
+                    let right = node.right();
+                    if self.parallel >> axis & 1 == 1 {
+                        // The rays are parallel to the plane: each on one side of it, or as thick as it is in it.
+                        let radius = self.line.radius;
+                        let to_left = lanes & lanes_of(offset.simd_ge(-radius));
+                        let to_right = lanes & lanes_of(offset.simd_le(radius));
+                        if to_left == 0 {
+                            (at, lanes) = (right, to_right);
                         } else {
-                            let entered = enter.simd_gt(t0).select(enter, t0);
-                            stack.push(Waiting { at: second, lanes: in_second, t0: entered, t1 });
-                            t1 = leave.simd_lt(t1).select(leave, t1);
-                            (at, lanes) = (first, in_first);
+                            if to_right != 0 {
+                                stack.push(Waiting { at: right, lanes: to_right, t0, t1 });
+                            }
+                            (at, lanes) = (left, to_left);
                         }
                         continue;
                     }
+
+                    // Find where the rays come to the plane and leave it.
+                    let (first, second) =
+                        if self.backward >> axis & 1 == 1 { (right, left) } else { (left, right) };
+                    let to_plane = offset * self.line.inverse[axis];
+                    let slack = self.line.slack[axis];
+                    let (enter, leave) = (to_plane - slack, to_plane + slack);
+
+                    // Go on in the cells that any of them passes.
+                    let in_first = lanes & lanes_of(leave.simd_ge(t0 * (1.0 - MARGIN)));
+                    let in_second = lanes & lanes_of(enter.simd_le(t1 * (1.0 + MARGIN)));
+                    if in_second == 0 {
+                        at = first;
+                    } else if in_first == 0 {
+                        at = second;
+                    } else {
+                        let entered = enter.simd_gt(t0).select(enter, t0);
+                        stack.push(Waiting { at: second, lanes: in_second, t0: entered, t1 });
+                        t1 = leave.simd_lt(t1).select(leave, t1);
+                        (at, lanes) = (first, in_first);
+                    }
+                    continue;
                 }
             }
             // Take up the nearest cell that waits for a ray that may still find something there.
@@ -486,42 +480,6 @@ impl<S: Simd, T: Triangles> Packet<'_, S, T> {
     fn test<const ANY: bool>(&self, id: u32, lanes: u8, best: &mut Best<S>, accept: &mut impl Accept) -> u8 {
         let vertices = self.triangles.vertices(id);
         test_hit::<S, ANY, _>(self.rays, &self.shear, id, &vertices, lanes, best, accept)
-    }
-
-    /// Traces the rays of `lanes` one by one through the subtree at `at`.
-    #[cold]
-    #[inline(never)]
-    fn go_on_alone<const ANY: bool>(
-        &self,
-        lanes: u8,
-        at: u32,
-        (t0, t1): (f32x8<S>, f32x8<S>),
-        best: &mut Best<S>,
-        accept: &mut impl Accept,
-    ) {
-        for lane in lanes_in(lanes) {
-            let ray = &self.rays.rays[lane];
-            let Some((line, ..)) = Line::enter(ray, &self.tree.bounds) else { continue };
-            let mut search = Search::new(self.triangles, ray, |hit: &Hit| accept.accept(lane, hit));
-            if best.found >> lane & 1 == 1 {
-                search.best = Hit {
-                    t: best.t[lane],
-                    triangle: best.triangle[lane],
-                    b1: best.b1[lane],
-                    b2: best.b2[lane],
-                };
-                search.found = true;
-            }
-            self.tree.descend::<ANY>(&line, &mut search, (at, t0[lane], t1[lane]));
-            if search.found {
-                best.found |= 1 << lane;
-                let Hit { t, triangle, b1, b2 } = search.best;
-                best.t[lane] = t;
-                best.triangle[lane] = triangle;
-                best.b1[lane] = b1;
-                best.b2[lane] = b2;
-            }
-        }
     }
 }
 

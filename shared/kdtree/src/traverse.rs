@@ -68,7 +68,7 @@ impl TreeView<'_> {
     /// Visits the cells along the ray from near to far, in the subtree and over the interval that `start` names; stops at the
     /// first accepted hit if `ANY`, else when no cell can hold a nearer one. (Havran 2000's traversal, with references as in
     /// Seo, Park and Ihm 2022, section 3.2.)
-    pub(crate) fn descend<const ANY: bool>(
+    fn descend<const ANY: bool>(
         &self,
         line: &Line,
         search: &mut Search<'_, impl Triangles, impl FnMut(&Hit) -> bool>,
@@ -156,7 +156,7 @@ impl TreeView<'_> {
 
 /// A ray as the traversal sees it: thick, along [`Ray::divisor`].
 #[derive(Clone, Copy)]
-pub(crate) struct Line {
+struct Line {
     /// x, y, z, and one that is never used: so every value of a node's two axis bits is an index.
     axes: [LineAxis; 4],
     /// Half the thickness.
@@ -175,7 +175,7 @@ struct LineAxis {
 
 impl Line {
     /// The traceable `ray` and its part inside `bounds`, as thick as it counts.
-    pub(crate) fn enter(ray: &Ray, bounds: &Aabb) -> Option<(Self, f32, f32)> {
+    fn enter(ray: &Ray, bounds: &Aabb) -> Option<(Self, f32, f32)> {
         let inverse = ray.divisor().to_array().map(f32::recip);
         let Aabb { min, max } = *bounds;
         let radius = THICKNESS * (min - ray.origin).abs().max((max - ray.origin).abs()).max_element();
@@ -218,19 +218,19 @@ pub(crate) const THICKNESS: f32 = LATERAL_ERROR + gamma(6);
 pub(crate) const MARGIN: f32 = 4.0 * f32::EPSILON;
 
 /// The best hit so far, and what is needed to find a better one.
-pub(crate) struct Search<'a, T, A> {
+struct Search<'a, T, A> {
     triangles: &'a T,
     ray: &'a Ray,
     shear: RayShear,
     accept: A,
     /// Before the first hit: `t_max` with the smallest id, which no hit at `t_max` itself precedes.
-    pub(crate) best: Hit,
-    pub(crate) found: bool,
+    best: Hit,
+    found: bool,
 }
 
 impl<'a, T: Triangles, A: FnMut(&Hit) -> bool> Search<'a, T, A> {
     /// A search along `ray`, which is traceable.
-    pub(crate) fn new(triangles: &'a T, ray: &'a Ray, accept: A) -> Self {
+    fn new(triangles: &'a T, ray: &'a Ray, accept: A) -> Self {
         let best = Hit { t: ray.t_max, triangle: 0, b1: 0.0, b2: 0.0 };
         Self { triangles, ray, shear: RayShear::new(ray), accept, best, found: false }
     }

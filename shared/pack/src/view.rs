@@ -261,7 +261,7 @@ pub(crate) fn cell_bytes(cells: [u32; 3]) -> usize {
     if cells_are_wide(cells) { size_of::<u64>() } else { size_of::<u32>() }
 }
 
-#[inline]
+#[inline(always)]
 pub(crate) fn narrow_cell(entry: u32) -> [u32; 3] {
     [entry >> 20, entry >> 10 & 1023, entry & 1023]
 }
@@ -299,13 +299,13 @@ impl<'a> MeshView<'a> {
     }
 
     /// Vertex indices of triangle `id`.
-    #[inline]
+    #[inline(always)]
     pub fn indices(&self, id: u32) -> [u32; 3] {
         self.faces[id as usize]
     }
 
     /// Decoded local position, exact: a voxel's centre (or a plain position).
-    #[inline]
+    #[inline(always)]
     pub fn position(&self, vertex: u32) -> Vec3 {
         match self.positions {
             Positions::Narrow(cells) => self.decode(vertex, |index| narrow_cell(cells[index])),
@@ -314,7 +314,7 @@ impl<'a> MeshView<'a> {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn decode(&self, vertex: u32, cell: impl Fn(usize) -> [u32; 3]) -> Vec3 {
         // Positions need the first two words only.
         let at = vertex as usize * self.record_words;
@@ -394,7 +394,7 @@ impl<'a> MeshView<'a> {
 }
 
 impl tessera_kdtree::Triangles for MeshView<'_> {
-    #[inline]
+    #[inline(always)]
     fn vertices(&self, id: u32) -> [Vec3; 3] {
         // Spelt out: `array::map` is not inlined here, and this is the kernel's innermost loop.
         let [a, b, c] = self.indices(id);
