@@ -2,10 +2,10 @@
 
 mod common;
 
-use common::{Random, Soup, planes, scenes, sphere, unkind_ray};
+use common::{Random, Soup, planes, scenes, sphere, truth, unkind_ray, voxel};
 use fearless_simd::Level;
+use tessera_geometry::triangle::{RayShear, intersect};
 use tessera_geometry::{Hit, Ray, Vec3};
-
 use tessera_kdtree::{Kernel, Tree, brute_force_closest, brute_force_closest_hits, validate};
 
 /// Holds closest and any hit of `tree` to brute force on `count` rays of the unkind mix.
@@ -48,6 +48,45 @@ fn every_scene_and_reference_count_agrees_with_brute_force() {
             check(&format!("{name}, {max_refs} references"), &soup, &tree, 10_000 / 3 + 1);
         }
     }
+}
+
+/// The test that tree and brute force share, held to exact integers: triangles from slivers half a voxel wide to 2^20 voxels, near and
+/// far, rays at inner points, edges and vertices.
+#[test]
+fn the_triangle_test_is_wrong_by_rounding_only() {
+    let mut random = Random(61);
+    let (mut hits, mut differing) = (0, 0);
+    for i in 0..400_000 {
+        let mut any = |reach: f32| voxel(random.point(Vec3::splat(-reach), Vec3::splat(reach)));
+        let (origin, reach) = (any(500_000.0), [4.0, 60.0, 1000.0, 500_000.0][i % 4]);
+        let a = any(500_000.0);
+        let [b, c] = [a + any(reach) - 0.5, a + any(reach) - 0.5];
+        let c = if i % 5 == 0 { voxel(a.midpoint(b)) + Vec3::Y } else { c };
+        let (s, t) = (random.unit(), random.unit());
+        let target = match i % 3 {
+            0 => a + (b - a) * s + (c - a) * (t * (1.0 - s)),
+            1 => a + (b - a) * s,
+            _ => c,
+        };
+        // Whole multiples of 2^-20: what the integers can hold.
+        let direction = ((target - origin) / 512.0 * 1_048_576.0).round() / 1_048_576.0;
+        let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+        if direction == Vec3::ZERO {
+            continue;
+        }
+        let truth = truth::judge_exactly(&ray, [a, b, c]);
+        let found = intersect(&ray, &RayShear::new(&ray), [a, b, c], ray.t_max);
+        hits += usize::from(found.is_some());
+        if truth.t.is_some() != found.is_some() {
+            differing += 1;
+            assert!(truth.is_within_rounding(), "{truth:?}, not {found:?}: {ray:?} {a} {b} {c}");
+        } else if let (Some(t), Some(found)) = (truth.t, found)
+            && !truth.is_within_rounding()
+        {
+            assert!((t - f64::from(found.t)).abs() <= t * f64::from(f32::EPSILON), "{truth:?}, not {found:?}");
+        }
+    }
+    assert!(hits > 100_000 && differing > 1000, "{hits} hits, {differing} that rounding decides: little was tested");
 }
 
 /// A closed mesh seen from inside: every ray aimed at a vertex or an edge must hit something.

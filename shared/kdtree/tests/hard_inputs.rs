@@ -198,7 +198,7 @@ fn subnormal_direction_components_count_as_zero() {
         let planes = common::planes(&tree);
         let mut random = Random(53);
         for i in 0..400 {
-            let mut ray = unkind_ray(1 + 8 * i, &mut random, &soup, &planes);
+            let mut ray = unkind_ray(1 + common::UNKIND * i, &mut random, &soup, &planes);
             ray.direction[i % 3] = [1e-40, -1e-40, f32::MIN_POSITIVE][i % 3];
             let expected = brute_force_closest(soup.len(), &soup, &ray, |_| true);
             assert_eq!(tree.view().closest_hit(&soup, &ray, |_| true), expected, "{name}, {ray:?}");

@@ -1,8 +1,10 @@
 //! Scenes and rays that the tests share.
 #![allow(dead_code, reason = "every test binary uses its own part")]
 
+pub mod truth;
+
 use tessera_geometry::{Ray, Vec3};
-use tessera_kdtree::{BuildOptions, Tree, Triangles, build};
+use tessera_kdtree::{BuildOptions, Tree, Triangles, build, node::Slot};
 
 /// A mesh of separate triangles.
 pub struct Soup(pub Vec<[Vec3; 3]>);
@@ -194,11 +196,16 @@ pub fn scenes() -> Vec<(&'static str, Soup)> {
 
 /// Split planes of `tree` as (axis, position).
 pub fn planes(tree: &Tree) -> Vec<(usize, f32)> {
+    split_planes(&tree.slots)
+}
+
+/// Split planes of a tree of these slots as (axis, position).
+pub fn split_planes(slots: &[Slot]) -> Vec<(usize, f32)> {
     use tessera_kdtree::node::Node;
     let mut planes = Vec::new();
     let mut slot = 0;
-    while slot < tree.slots.len() {
-        let node = Node(tree.slots[slot]);
+    while slot < slots.len() {
+        let node = Node(slots[slot]);
         if node.is_leaf() {
             slot += 1;
         } else {
@@ -209,8 +216,12 @@ pub fn planes(tree: &Tree) -> Vec<(usize, f32)> {
     planes
 }
 
+/// How many kinds of rays [`unkind_ray`] deals out in turn.
+pub const UNKIND: usize = 10;
+
 /// Ray number `i` of a mix that is unkind to traversals: random, axis-parallel with zeros of both signs, starting exactly in
-/// split planes, with one zero component, at vertices, along edges, through points of edges.
+/// split planes, with one zero component, at vertices, along edges, through points of edges, with subnormal components, grazing a triangle
+/// in its plane but for the last digits.
 pub fn unkind_ray(i: usize, random: &mut Random, soup: &Soup, planes: &[(usize, f32)]) -> Ray {
     let (low, high) = soup.bounds();
     let reach = (high - low) * 0.2;
@@ -218,7 +229,7 @@ pub fn unkind_ray(i: usize, random: &mut Random, soup: &Soup, planes: &[(usize, 
     let mut direction = random.direction();
     let zero = |random: &mut Random| if random.bits() & 1 == 0 { 0.0 } else { -0.0 };
     let triangle = soup.0[random.below(soup.0.len())];
-    let kind = i % 8;
+    let kind = i % UNKIND;
     if matches!(kind, 1 | 2 | 4)
         && let Some(&(axis, at)) = planes.get(random.below(planes.len().max(1)))
     {
@@ -239,6 +250,15 @@ pub fn unkind_ray(i: usize, random: &mut Random, soup: &Soup, planes: &[(usize, 
         7 => {
             direction = triangle[1] - triangle[0];
             origin = triangle[0] - direction * random.unit();
+        }
+        8 => direction[random.below(3)] = [1e-40, -1e-40, f32::MIN_POSITIVE][random.below(3)],
+        9 => {
+            let (u, v) = (triangle[1] - triangle[0], triangle[2] - triangle[0]);
+            direction = u * (random.unit() - 0.5) + v * (random.unit() - 0.5);
+            let within = random.unit();
+            origin = triangle[0] + u * within + v * (random.unit() * (1.0 - within)) - direction * 8.0 * random.unit();
+            let axis = random.below(3);
+            direction[axis] = if random.bits() & 1 == 0 { direction[axis].next_up() } else { direction[axis] };
         }
         _ => {}
     }
