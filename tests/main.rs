@@ -1,11 +1,15 @@
 //! Promises that are kept by the whole: the built binary, the prepared pack, the workspace's own rules.
 
+#[path = "../shared/kdtree/tests/common/mod.rs"]
+mod kinds;
+
 mod bad_input;
 mod bench;
 mod cli;
 mod cluster;
 #[cfg(target_os = "linux")]
 mod joined;
+mod leaks;
 mod processes;
 mod rays;
 mod scenes;

@@ -131,6 +131,38 @@ fn the_protocol_document_follows_its_source() {
     );
 }
 
+/// `HARD_INPUTS.md` names tests that exist, and has a line for each case that is within what is built so far.
+#[test]
+fn hard_inputs_have_their_tests() {
+    let document = fs::read_to_string(root().join("tests/HARD_INPUTS.md")).expect("tests/HARD_INPUTS.md");
+    // Of each room, the names of functions under `#[test]`, whatever other attributes stand between.
+    let mut tests = BTreeMap::<String, BTreeSet<String>>::new();
+    for (path, text) in sources() {
+        let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).collect();
+        let room = if parts[0] == "shared" { &parts[1] } else { &parts[0] };
+        for test in text.split("#[test]").skip(1) {
+            let name = test.split("fn ").nth(1).and_then(|rest| rest.split('(').next()).unwrap_or("");
+            tests.entry(room.to_string()).or_default().insert(name.to_owned());
+        }
+    }
+    let mut cases = BTreeSet::new();
+    for line in document.lines() {
+        let Some(case) = line.split('|').nth(1).and_then(|number| number.trim().parse::<u32>().ok()) else {
+            continue;
+        };
+        cases.insert(case);
+        let named: Vec<_> = line.split('`').filter_map(|part| part.split_once("::")).collect();
+        assert!(!named.is_empty(), "hard input {case} has no test");
+        for (room, test) in named {
+            let is_there = tests.get(room).is_some_and(|tests| tests.contains(test));
+            assert!(is_there, "hard input {case}: {room} has no test {test}");
+        }
+    }
+    let missing: Vec<_> =
+        (1..=18).chain(20..=34).chain(36..=43).filter(|case| !cases.contains(case)).collect();
+    assert!(missing.is_empty(), "tests/HARD_INPUTS.md has no line for {missing:?}");
+}
+
 #[test]
 fn rooms_are_on_the_map() {
     let map = fs::read_to_string(root().join("shared/README.md")).expect("shared/README.md");

@@ -83,10 +83,16 @@ fn the_triangle_test_is_wrong_by_rounding_only() {
         } else if let (Some(t), Some(found)) = (truth.t, found)
             && !truth.is_within_rounding()
         {
-            assert!((t - f64::from(found.t)).abs() <= t * f64::from(f32::EPSILON), "{truth:?}, not {found:?}");
+            assert!(
+                (t - f64::from(found.t)).abs() <= t * f64::from(f32::EPSILON),
+                "{truth:?}, not {found:?}"
+            );
         }
     }
-    assert!(hits > 100_000 && differing > 1000, "{hits} hits, {differing} that rounding decides: little was tested");
+    assert!(
+        hits > 100_000 && differing > 1000,
+        "{hits} hits, {differing} that rounding decides: little was tested"
+    );
 }
 
 /// A closed mesh seen from inside: every ray aimed at a vertex or an edge must hit something.

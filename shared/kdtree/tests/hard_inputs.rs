@@ -180,6 +180,41 @@ fn a_quad_in_a_split_plane_stops_rays_from_both_sides() {
 }
 
 #[test]
+fn h13_rays_along_edges_and_through_corners_of_cells_agree_with_brute_force() {
+    for (name, soup) in scenes() {
+        for max_refs in 0..=2 {
+            let tree = soup.build(max_refs);
+            let planes = common::planes(&tree);
+            let along = [0, 1, 2].map(|axis| {
+                let of_axis: Vec<f32> = planes.iter().filter(|p| p.0 == axis).map(|p| p.1).collect();
+                assert!(of_axis.len() > 10, "{name}: hardly any plane across {axis}");
+                of_axis
+            });
+            let mut random = Random(48);
+            let mut hits = 0;
+            for i in 0..1500 {
+                let corner =
+                    Vec3::from_array([0, 1, 2].map(|axis| along[axis][random.below(along[axis].len())]));
+                let direction = if i % 2 == 0 {
+                    // Along the edge of a cell, with zeros of both signs.
+                    let mut direction = Vec3::splat(if i % 4 == 0 { 0.0 } else { -0.0 });
+                    direction[i % 3] = if i % 8 < 4 { 1.0 } else { -1.0 };
+                    direction
+                } else {
+                    random.direction()
+                };
+                let ray = ray(corner - direction * 400.0 * random.unit().round(), direction);
+                let expected = brute_force_closest(soup.len(), &soup, &ray, |_| true);
+                let found = tree.view().closest_hit(&soup, &ray, |_| true);
+                assert_eq!(found, expected, "{name}, {max_refs} references, ray {i}: {ray:?}");
+                hits += usize::from(found.is_some());
+            }
+            assert!(hits > 50, "{name}: {hits} hits");
+        }
+    }
+}
+
+#[test]
 fn rays_that_cannot_be_traced_miss_everything() {
     let soup = tubes();
     let tree = soup.build(2);

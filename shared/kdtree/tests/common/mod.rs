@@ -256,9 +256,11 @@ pub fn unkind_ray(i: usize, random: &mut Random, soup: &Soup, planes: &[(usize, 
             let (u, v) = (triangle[1] - triangle[0], triangle[2] - triangle[0]);
             direction = u * (random.unit() - 0.5) + v * (random.unit() - 0.5);
             let within = random.unit();
-            origin = triangle[0] + u * within + v * (random.unit() * (1.0 - within)) - direction * 8.0 * random.unit();
+            origin = triangle[0] + u * within + v * (random.unit() * (1.0 - within))
+                - direction * 8.0 * random.unit();
             let axis = random.below(3);
-            direction[axis] = if random.bits() & 1 == 0 { direction[axis].next_up() } else { direction[axis] };
+            direction[axis] =
+                if random.bits() & 1 == 0 { direction[axis].next_up() } else { direction[axis] };
         }
         _ => {}
     }

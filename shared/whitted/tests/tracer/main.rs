@@ -2,6 +2,7 @@
 
 mod energy;
 mod frames;
+mod hard;
 mod lights;
 mod refraction;
 mod sides;
