@@ -218,7 +218,7 @@ fn shoot(closed: &Closed, place: (f64, f64), prepared: &Prepared, rays: usize, w
             2 => b + (c - b) * random.unit(),
             _ => a + (b - a) * random.unit(),
         };
-        let direction = if i % 3 == 0 { target - origin } else { (target - origin).normalize() };
+        let direction = if i.is_multiple_of(3) { target - origin } else { (target - origin).normalize() };
         Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY }
     };
     let mut hits = Vec::with_capacity(rays);

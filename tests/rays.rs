@@ -2,7 +2,7 @@
 //! references, ray by ray and eight at once, rays of every kind. 10^4 rays a scene; for 10^5, and generators of 300,000 triangles:
 //!
 //! ```text
-//! TESSERA_RAYS=100000 cargo test --release --test tests rays:: -- --nocapture
+//! TESSERA_RAYS=100000 cargo test --release --test tests -- rays:: --nocapture
 //! ```
 
 use crate::kinds::{Random, Soup, split_planes, truth, unkind_ray};
@@ -206,7 +206,7 @@ fn check_generated(kind: Kind) {
 }
 
 fn check_file(folder: &Path, path: &Path) {
-    let options = LoadOptions { scenes_folder: Some(folder.to_owned()), ..LoadOptions::default() };
+    let options = LoadOptions { scenes_folder: Some(folder.to_owned()) };
     check(&tessera_scene::load(path, &options).expect("it loads"));
 }
 

@@ -147,8 +147,8 @@ fn edge_exact(p: [f32; 2], q: [f32; 2]) -> f64 {
 ///
 /// **When `f64` cannot tell.** Let `e = 2^-52`, `r` the largest coordinate of a corner relative to the origin, `l` the length and `w` the width of
 /// the triangle as the ray sees it. The sides are off by `e l^2` of `w l` and the projected corners by `e r`, so the point lies beside the ray
-/// by up to `e l^2 / w + e r`. That is more than a roundoff `u r = 2^-24 r` for `w < 2^-27 l` only, where every point inside is within
-/// `u r` of the edges: then the nearest one of those is taken. The plane of a long triangle that is seen from its end, or edge-on, is steep,
+/// by up to `e l^2 / w + e r`. As `l <= 2 sqrt(3) r`, that is more than a roundoff `u r = 2^-24 r` for `w < 2^-26 l` only, where every
+/// point inside is within `w < u r` of the edges: then the nearest one of those is taken. The plane of a long triangle that is seen from its end, or edge-on, is steep,
 /// and its `t` may be that of another place: it counts if it is within `u r` of the point, else the point's own.
 #[inline]
 fn locate(ray: &Ray, [kx, ky, kz]: [usize; 3], vertices: [Vec3; 3]) -> Option<Crossing> {

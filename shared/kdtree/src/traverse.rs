@@ -179,6 +179,7 @@ impl Line {
         let inverse = ray.divisor().to_array().map(f32::recip);
         let Aabb { min, max } = *bounds;
         let radius = THICKNESS * (min - ray.origin).abs().max((max - ray.origin).abs()).max_element();
+        // (A built tree's root box is larger than its triangles by a voxel or a digit, which takes up the rounding of these sums.)
         let thick = Aabb { min: min - radius, max: max + radius };
         let (t0, t1) = thick.clip(ray, Vec3::from_array(inverse))?;
         let origin = ray.origin.to_array();
