@@ -594,6 +594,34 @@ fn a_full_disk() {
 }
 
 #[test]
+fn join_strings_that_are_none() {
+    let folder = Folder::new();
+    folder.write("text.txt", "hello\n");
+    folder.write("empty.txt", "");
+    folder.write("bytes.txt", [0xff; 8]);
+    folder.write("a.ply", PLY);
+    symlink("/dev/zero", folder.file("zero.txt")).expect("a link");
+    let pipe = std::process::Command::new("mkfifo").arg(folder.file("pipe.txt")).status();
+    assert!(pipe.expect("mkfifo runs").success());
+    let before = folder.names();
+    for (join, code, says) in [
+        ("hello", 2, "this is no join string"),
+        ("tessera1.127.0.0.1:1", 2, "cut off"),
+        ("@gone.txt", 1, "cannot read gone.txt: No such file"),
+        ("@text.txt", 1, "text.txt: this is no join string"),
+        ("@empty.txt", 1, "empty.txt: "),
+        ("@bytes.txt", 1, "cannot read bytes.txt"),
+        ("@zero.txt", 1, "cannot read zero.txt: not a regular file"),
+        ("@pipe.txt", 1, "cannot read pipe.txt: not a regular file"),
+    ] {
+        let run = |args: &[&str]| Tessera::new(args).within(folder.path()).run();
+        run(&["worker", "--no-cache", "--join", join]).fails(code, &[says]);
+        run(&["render", "a.ply", "--out", "a.png", "--size", "8x8", "--master", join]).fails(code, &[says]);
+        assert_eq!(folder.names(), before, "{join}");
+    }
+}
+
+#[test]
 fn sizes_at_the_ends_of_their_ranges() {
     let folder = Folder::new();
     folder.write("a.ply", PLY);

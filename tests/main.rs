@@ -7,6 +7,8 @@ mod bad_input;
 mod bench;
 mod cli;
 mod cluster;
+mod corpora;
+mod deploy;
 #[cfg(target_os = "linux")]
 mod joined;
 mod leaks;

@@ -48,6 +48,10 @@ pub fn parse(text: &str, place: &str) -> Result<JoinString, CommandError> {
 fn read(path: &str) -> std::io::Result<String> {
     /// Far more than a join string has.
     const BYTES_MAX: u64 = 4096;
+    // Before opening: opening a pipe without a writer blocks for ever.
+    if !std::fs::metadata(path)?.is_file() {
+        return Err(std::io::Error::other("not a regular file; name the file that --join-file has written"));
+    }
     let mut text = String::new();
     File::open(path)?.take(BYTES_MAX).read_to_string(&mut text)?;
     Ok(text)
