@@ -82,8 +82,10 @@ pub struct Cluster {
     inputs: mpsc::Receiver<Input>,
     tell: mpsc::Sender<Input>,
     counters: Arc<Counters>,
-    /// By worker id.
-    lines: Vec<Line>,
+    /// Of connections that are not over.
+    lines: BTreeMap<WorkerId, Line>,
+    /// UDP payload sent and received by those that are.
+    udp_closed: (u64, u64),
     locals: Vec<Local>,
     /// The workers that are connected from outside this process.
     identities: BTreeMap<Fingerprint, WorkerId>,
@@ -308,7 +310,8 @@ impl Cluster {
             inputs,
             tell,
             counters: Arc::default(),
-            lines: Vec::new(),
+            lines: BTreeMap::new(),
+            udp_closed: (0, 0),
             locals: Vec::new(),
             identities: BTreeMap::new(),
             clients: None,
@@ -328,7 +331,7 @@ impl Cluster {
 
     fn link(&mut self, link: Link) -> WorkerId {
         let worker = self.coordinator.connected(self.now());
-        self.lines.push(Line::start(worker, link, &self.tell, &self.counters));
+        self.lines.insert(worker, Line::start(worker, link, &self.tell, &self.counters));
         worker
     }
 
@@ -469,18 +472,30 @@ impl Cluster {
     /// Does what the coordinator wants, and hands on its events.
     fn carry_out(&mut self) -> Vec<Event> {
         while self.farewells.try_join_next().is_some() {}
+        // Those that were told of in the events before.
+        self.lines.retain(|_, line| !line.is_closed());
         let mut events = Vec::new();
         while let Some(output) = self.coordinator.poll() {
             match output {
-                Output::Send(worker, message) => self.lines[worker.0 as usize].send(message),
+                Output::Send(worker, message) => {
+                    if let Some(line) = self.lines.get(&worker) {
+                        line.send(message);
+                    }
+                }
                 Output::SendPack(worker, id) => {
-                    if let Some(pack) = self.packs.iter().find(|pack| pack.id().0 == id.0) {
-                        self.lines[worker.0 as usize].send_pack(pack.clone());
+                    let pack = self.packs.iter().find(|pack| pack.id().0 == id.0);
+                    if let (Some(pack), Some(line)) = (pack, self.lines.get(&worker)) {
+                        line.send_pack(pack.clone());
                     }
                 }
                 Output::Close(worker, code) => {
-                    let farewell = self.lines[worker.0 as usize].close(code);
-                    self.farewells.spawn(farewell);
+                    if let Some(line) = self.lines.get_mut(&worker) {
+                        let (sent, received) = line.udp_bytes();
+                        self.udp_closed.0 += sent;
+                        self.udp_closed.1 += received;
+                        self.farewells.spawn(line.close(code));
+                    }
+                    self.identities.retain(|_, known| *known != worker);
                 }
                 Output::Event(event) => events.push(event),
             }
@@ -497,7 +512,7 @@ impl Cluster {
                 self.last_lost = format!("{name}: {reason}");
             }
             Event::Joined(worker) => {
-                let (name, peer) = (self.describe(worker), &self.lines[worker.0 as usize].peer);
+                let (name, peer) = (self.describe(worker), self.peer(worker));
                 progress(Progress::WorkerJoined { name: &name, peer });
             }
             Event::PackRejected(worker, reason) => {
@@ -512,26 +527,37 @@ impl Cluster {
     fn describe(&self, worker: WorkerId) -> String {
         let local = self.locals.iter().find(|local| local.worker == Some(worker)).map(|l| l.name.as_str());
         let name = self.coordinator.name(worker).or(local);
-        name.map_or_else(|| format!("{worker} ({})", self.lines[worker.0 as usize].peer), str::to_string)
+        name.map_or_else(|| format!("{worker} ({})", self.peer(worker)), str::to_string)
+    }
+
+    /// Where a worker is.
+    fn peer(&self, worker: WorkerId) -> &str {
+        self.lines.get(&worker).map_or("?", |line| &line.peer)
+    }
+
+    /// Bytes on the wire since the cluster was started.
+    pub(crate) fn traffic(&self) -> Traffic {
+        let open = self.lines.values().map(Line::udp_bytes);
+        let udp = open.fold(self.udp_closed, |a, b| (a.0 + b.0, a.1 + b.1));
+        Traffic {
+            sent: self.counters.sent.load(Ordering::Relaxed),
+            received: self.counters.received.load(Ordering::Relaxed),
+            udp_sent: udp.0,
+            udp_received: udp.1,
+        }
     }
 
     fn result(&self, pack: PackId, mut outcome: Outcome) -> FrameResult {
         // By ticket: processes join in any order.
         let place = |name: &str| self.locals.iter().position(|local| local.name == name);
         outcome.workers.sort_by_key(|w| place(&w.name).unwrap_or(usize::MAX));
-        let udp = self.lines.iter().map(Line::udp_bytes).fold((0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
         FrameResult {
             image: outcome.image,
             pack: tessera_pack::PackId(pack.0),
             numeric_class: self.coordinator.numeric_class().unwrap_or_default().into(),
             workers: outcome.workers,
             timings: Timings { send_scene: self.send_scene, ..outcome.timings },
-            traffic: Traffic {
-                sent: self.counters.sent.load(Ordering::Relaxed),
-                received: self.counters.received.load(Ordering::Relaxed),
-                udp_sent: udp.0,
-                udp_received: udp.1,
-            },
+            traffic: self.traffic(),
             rays: outcome.rays,
             dropped_tiles: outcome.dropped_tiles,
         }

@@ -97,8 +97,10 @@ pub struct Outcome {
 #[derive(Debug, Default)]
 pub struct Coordinator {
     numeric_class: Option<String>,
-    /// Indexed by worker id; kept when over.
-    sessions: Vec<Session>,
+    /// Of connections that are not over.
+    sessions: BTreeMap<WorkerId, Session>,
+    /// Of the next connection.
+    next: u32,
     /// On offer to all, and its bytes.
     pack: Option<(PackId, u64)>,
     frame: Option<Active>,
@@ -146,7 +148,7 @@ impl Coordinator {
     /// When [`Coordinator::tick`] has to be called at the latest.
     pub fn deadline(&self) -> Option<Duration> {
         let frame = self.frame.iter().filter_map(Active::deadline);
-        self.sessions.iter().filter_map(Session::deadline).chain(frame).min()
+        self.sessions.values().filter_map(Session::deadline).chain(frame).min()
     }
 
     /// The arithmetic of the cluster, once settled.
@@ -156,34 +158,36 @@ impl Coordinator {
 
     /// The name of a worker that has joined and is not gone.
     pub fn name(&self, worker: WorkerId) -> Option<&str> {
-        self.sessions.get(worker.0 as usize)?.name()
+        self.sessions.get(&worker)?.name()
     }
 
     /// Workers that have joined and neither left nor are lost.
     pub fn joined(&self) -> impl Iterator<Item = WorkerId> {
-        self.ids().filter(|worker| self.sessions[worker.0 as usize].abilities().is_some())
+        self.sessions.iter().filter(|(_, session)| session.abilities().is_some()).map(|(&worker, _)| worker)
     }
 
     /// Workers that hold the pack on offer.
     pub fn holders(&self) -> impl Iterator<Item = WorkerId> {
         let pack = self.pack;
-        self.ids().filter(move |worker| pack.is_some_and(|(p, _)| self.sessions[worker.0 as usize].holds(p)))
+        let holds = move |session: &Session| pack.is_some_and(|(p, _)| session.holds(p));
+        self.sessions.iter().filter(move |(_, session)| holds(session)).map(|(&worker, _)| worker)
     }
 
     /// Whether a worker may still ask for the bytes of `pack`.
     pub fn is_wanted(&self, pack: PackId) -> bool {
-        self.sessions.iter().any(|session| session.awaits(pack))
+        self.sessions.values().any(|session| session.awaits(pack))
     }
 
     /// Whether a worker has not yet said if it takes the pack on offer.
     pub fn is_loading(&self) -> bool {
-        self.sessions.iter().any(Session::awaits_pack)
+        self.sessions.values().any(Session::awaits_pack)
     }
 
     /// A connection was made, and is safe to talk over.
     pub fn connected(&mut self, now: Duration) -> WorkerId {
-        let worker = WorkerId(self.sessions.len() as u32);
-        self.sessions.push(Session::new(worker, now));
+        let worker = WorkerId(self.next);
+        self.next += 1;
+        self.sessions.insert(worker, Session::new(worker, now));
         worker
     }
 
@@ -341,7 +345,7 @@ impl Coordinator {
     }
 
     fn ids(&self) -> impl Iterator<Item = WorkerId> + use<> {
-        (0..self.sessions.len() as u32).map(WorkerId)
+        self.sessions.keys().copied().collect::<Vec<_>>().into_iter()
     }
 
     fn assign(&mut self, assignments: Vec<Assignment>) {
@@ -362,7 +366,7 @@ impl Coordinator {
     }
 
     fn with_session(&mut self, worker: WorkerId, now: Duration, act: impl FnOnce(&mut Session) -> Vec<Step>) {
-        if let Some(session) = self.sessions.get_mut(worker.0 as usize) {
+        if let Some(session) = self.sessions.get_mut(&worker) {
             let steps = act(session);
             self.take(worker, steps, now);
         }
@@ -374,12 +378,13 @@ impl Coordinator {
                 Step::Send(message) => self.outputs.push_back(Output::Send(worker, message)),
                 Step::SendPack(pack) => self.outputs.push_back(Output::SendPack(worker, pack)),
                 Step::Joined => {
-                    if let Some(abilities) = self.sessions[worker.0 as usize].abilities() {
+                    if let Some(abilities) = self.sessions.get(&worker).and_then(Session::abilities) {
                         self.numeric_class.get_or_insert_with(|| abilities.numeric_class.clone());
                     }
                     self.outputs.push_back(Output::Event(Event::Joined(worker)));
-                    if let Some((pack, length)) = self.pack {
-                        let steps = self.sessions[worker.0 as usize].offer(pack, length, now);
+                    if let (Some((pack, length)), Some(session)) = (self.pack, self.sessions.get_mut(&worker))
+                    {
+                        let steps = session.offer(pack, length, now);
                         self.take(worker, steps, now);
                     }
                 }
@@ -397,6 +402,7 @@ impl Coordinator {
                     }
                 }
                 Step::Over { code, reason } => {
+                    self.sessions.remove(&worker);
                     self.outputs.push_back(Output::Close(worker, code));
                     self.over(worker, reason, now);
                 }
@@ -426,7 +432,8 @@ impl Coordinator {
     fn join_frame(&mut self, worker: WorkerId, now: Duration) {
         let name = self.name(worker).unwrap_or("?").to_string();
         let holds = |active: &&mut Active| {
-            self.sessions[worker.0 as usize].holds(active.frame.pack) && !active.dispatch.is_done()
+            let session = self.sessions.get(&worker);
+            session.is_some_and(|s| s.holds(active.frame.pack)) && !active.dispatch.is_done()
         };
         let Some(active) = self.frame.as_mut().filter(holds) else { return };
         active.reports.push((worker, WorkerReport::new(&name, None)));
@@ -437,7 +444,7 @@ impl Coordinator {
     }
 
     fn rejection(&self, worker: WorkerId) -> Option<&PackRefusal> {
-        self.sessions[worker.0 as usize].rejection()
+        self.sessions.get(&worker)?.rejection()
     }
 
     fn over(&mut self, worker: WorkerId, reason: String, now: Duration) {

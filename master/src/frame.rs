@@ -121,7 +121,7 @@ pub struct FrameResult {
     pub workers: Vec<WorkerReport>,
     /// Where the time went.
     pub timings: Timings,
-    /// Bytes on the wire since the cluster started: handshake, pack, frames.
+    /// Bytes on the wire since the cluster started, or for a client since its frame's turn came: handshake, pack, frames.
     pub traffic: Traffic,
     /// Rays of the image: each tile counted once, however often it was rendered.
     pub rays: Rays,
@@ -158,6 +158,18 @@ pub struct Timings {
     pub return_: Duration,
     /// From the frame's announcement to the complete image.
     pub frame: Duration,
+}
+
+impl Traffic {
+    /// What has come to `earlier` since then.
+    pub(crate) fn since(&self, earlier: &Self) -> Self {
+        Self {
+            sent: self.sent.saturating_sub(earlier.sent),
+            received: self.received.saturating_sub(earlier.received),
+            udp_sent: self.udp_sent.saturating_sub(earlier.udp_sent),
+            udp_received: self.udp_received.saturating_sub(earlier.udp_received),
+        }
+    }
 }
 
 /// Bytes on the wire, both directions seen from the master.

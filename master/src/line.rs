@@ -63,8 +63,6 @@ pub(crate) struct Line {
     packs: mpsc::UnboundedSender<Pack>,
     control_writer: Option<JoinHandle<()>>,
     connection: Option<quinn::Connection>,
-    /// Once closed.
-    udp_bytes: (u64, u64),
     pub(crate) peer: String,
     /// The other tasks.
     tasks: JoinSet<()>,
@@ -87,7 +85,7 @@ impl Line {
         tasks.spawn(write_packs(worker, pipes.bulk_out, wanted, tell.clone(), counters.clone()));
         let writer = write_control(pipes.control_out, messages, counters.clone());
         let control_writer = Some(tokio::spawn(writer));
-        Self { control: Some(control), packs, control_writer, connection, udp_bytes: (0, 0), peer, tasks }
+        Self { control: Some(control), packs, control_writer, connection, peer, tasks }
     }
 
     /// Queues a message. A broken line has told so, and loses it.
@@ -102,9 +100,14 @@ impl Line {
         let _ = self.packs.send(pack);
     }
 
-    /// Bytes of UDP payload sent and received.
+    /// Whether [`Line::close`] was called.
+    pub(crate) fn is_closed(&self) -> bool {
+        self.control.is_none()
+    }
+
+    /// Bytes of UDP payload sent and received, until it is closed.
     pub(crate) fn udp_bytes(&self) -> (u64, u64) {
-        self.connection.as_ref().map_or(self.udp_bytes, |connection| {
+        self.connection.as_ref().map_or((0, 0), |connection| {
             let stats = connection.stats();
             (stats.udp_tx.bytes, stats.udp_rx.bytes)
         })
@@ -116,7 +119,6 @@ impl Line {
         const FAREWELL: Duration = Duration::from_secs(1);
         self.control = None;
         self.tasks.abort_all();
-        self.udp_bytes = self.udp_bytes();
         let (writer, connection) = (self.control_writer.take(), self.connection.take());
         async move {
             let see_off = async {

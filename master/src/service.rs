@@ -97,6 +97,7 @@ impl Service {
 async fn perform(cluster: &mut Cluster, job: &mut Job) -> Result<FrameResult, FrameFailure> {
     let Job { name, pack, job: frame, tell, done } = job;
     let begun = Instant::now();
+    let before = cluster.traffic();
     let tell = |progress: Progress<'_>| {
         log(&progress);
         // What a slow client misses is told by what comes next.
@@ -115,14 +116,18 @@ async fn perform(cluster: &mut Cluster, job: &mut Job) -> Result<FrameResult, Fr
         }
         let crew = |detail: String| FrameFailure::Crew { detail: plain_text(&detail) };
         cluster.load(pack, tell).await.map_err(|e| crew(e.to_string()))?;
-        cluster.render(frame, tell).await.map_err(|e| match e {
+        let result = cluster.render(frame, tell).await.map_err(|e| match e {
             RenderError::Job(e) => FrameFailure::Invalid { detail: e.to_string() },
             RenderError::NoPack | RenderError::AllLost { .. } => crew(e.to_string()),
-        })
+        })?;
+        let traffic = result.traffic.since(&before);
+        Ok(FrameResult { traffic, ..result })
     };
     let result = tokio::select! {
-        result = work => result,
+        // First: a client that went while it waited costs nothing.
+        biased;
         () = done.closed() => Err(FrameFailure::Crew { detail: "the client has gone".into() }),
+        result = work => result,
     };
     match &result {
         Ok(_) => tracing::info!(
