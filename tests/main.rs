@@ -12,6 +12,8 @@ mod deploy;
 #[cfg(target_os = "linux")]
 mod joined;
 mod leaks;
+#[cfg(target_os = "linux")]
+mod machines;
 mod processes;
 mod rays;
 mod scenes;

@@ -497,7 +497,14 @@ impl Cluster {
                     }
                     self.identities.retain(|_, known| *known != worker);
                 }
-                Output::Event(event) => events.push(event),
+                Output::Event(event) => {
+                    if let Event::Joined(worker) = event
+                        && let Some(line) = self.lines.get_mut(&worker)
+                    {
+                        line.name = self.coordinator.name(worker).map(str::to_string);
+                    }
+                    events.push(event);
+                }
             }
         }
         events
@@ -523,11 +530,11 @@ impl Cluster {
         }
     }
 
-    /// A worker's name; that of its process, or where it is, if it has not joined or is gone.
+    /// A worker's name, also when it is gone; that of its process, or where it is, if it has not joined.
     fn describe(&self, worker: WorkerId) -> String {
+        let name = self.lines.get(&worker).and_then(|line| line.name.as_deref());
         let local = self.locals.iter().find(|local| local.worker == Some(worker)).map(|l| l.name.as_str());
-        let name = self.coordinator.name(worker).or(local);
-        name.map_or_else(|| format!("{worker} ({})", self.peer(worker)), str::to_string)
+        name.or(local).map_or_else(|| format!("{worker} ({})", self.peer(worker)), str::to_string)
     }
 
     /// Where a worker is.

@@ -64,6 +64,8 @@ pub(crate) struct Line {
     control_writer: Option<JoinHandle<()>>,
     connection: Option<quinn::Connection>,
     pub(crate) peer: String,
+    /// Once it has joined.
+    pub(crate) name: Option<String>,
     /// The other tasks.
     tasks: JoinSet<()>,
 }
@@ -85,7 +87,7 @@ impl Line {
         tasks.spawn(write_packs(worker, pipes.bulk_out, wanted, tell.clone(), counters.clone()));
         let writer = write_control(pipes.control_out, messages, counters.clone());
         let control_writer = Some(tokio::spawn(writer));
-        Self { control: Some(control), packs, control_writer, connection, peer, tasks }
+        Self { control: Some(control), packs, control_writer, connection, peer, name: None, tasks }
     }
 
     /// Queues a message. A broken line has told so, and loses it.

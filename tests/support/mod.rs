@@ -28,6 +28,14 @@ impl Tessera {
         Self(command)
     }
 
+    /// The same in a network namespace; the process is the program's own.
+    #[cfg(target_os = "linux")]
+    pub fn within_network<S: AsRef<OsStr>>(namespace: &str, args: impl IntoIterator<Item = S>) -> Self {
+        let mut command = Command::new("ip");
+        command.args(["netns", "exec", namespace, env!("CARGO_BIN_EXE_tessera")]);
+        Self::prepared(command).args(args)
+    }
+
     /// The same behind a shell's `prelude` (`ulimit -v 100000`), which ends with the program taking the shell's place.
     #[cfg(unix)]
     pub fn behind<S: AsRef<OsStr>>(prelude: &str, args: impl IntoIterator<Item = S>) -> Self {
