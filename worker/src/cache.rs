@@ -2,7 +2,7 @@
 
 use std::{
     fs::{self, File, OpenOptions},
-    io::{self, Write},
+    io::{self, Read, Write},
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -10,7 +10,7 @@ use std::{
     },
     time::SystemTime,
 };
-use tessera_pack::{Pack, PackError};
+use tessera_pack::{Pack, PackBuffer, PackError};
 use tessera_wire::PackId;
 
 /// A folder of packs. Any number of workers may share it: files appear whole, by renaming, and never change.
@@ -35,14 +35,15 @@ impl PackCache {
     /// Bytes of all packs together that a worker keeps unless it is told otherwise.
     pub const DEFAULT_LIMIT: u64 = 8 << 30;
 
-    /// The cache in `folder`, which is made if it is not there; files that a worker was writing when it was killed are removed.
+    /// The cache in `folder`, which is made for this user alone if it is not there; files that a worker was writing when it was killed are
+    /// removed.
     /// A pack larger than `limit` bytes is not kept.
     ///
     /// # Errors
     /// The folder cannot be made or read.
     pub fn open(folder: impl Into<PathBuf>, limit: u64) -> io::Result<Self> {
         let folder = folder.into();
-        fs::create_dir_all(&folder)?;
+        make_folder(&folder)?;
         let this = Self { folder, limit };
         for part in this.entries(is_part)? {
             // Whoever writes one has it locked.
@@ -58,18 +59,16 @@ impl PackCache {
     /// The pack, if it is here: checked like one that has come over the wire. A file that does not hold what its name says is removed.
     pub(crate) fn load(&self, pack: PackId) -> Option<Pack> {
         let path = self.path(pack);
-        if !fs::symlink_metadata(&path).is_ok_and(|metadata| metadata.is_file()) {
-            return None;
-        }
-        let damage = match read(&path) {
-            Ok(found) if found.id().0 == pack.0 => {
-                touch(&path);
-                return Some(found);
-            }
+        let damage = match open_file(&path).and_then(|file| read(file, &path)) {
+            Ok(found) if found.id().0 == pack.0 => return Some(found),
             Ok(_) => "it holds another pack".to_string(),
-            // There is nothing wrong with the file.
-            Err(ReadError::Pack(PackError::OutOfMemory(_))) => return None,
-            Err(e) => e.to_string(),
+            Err(ReadError::Io(e)) if e.kind() == io::ErrorKind::NotFound => return None,
+            // That says nothing of what the file holds.
+            Err(e @ (ReadError::Io(_) | ReadError::Pack(PackError::OutOfMemory(_)))) => {
+                tracing::debug!("{} cannot be read: {e}", path.display());
+                return None;
+            }
+            Err(ReadError::Pack(e)) => e.to_string(),
         };
         tracing::warn!("{} is removed from the cache: {damage}", path.display());
         let _ = fs::remove_file(&path);
@@ -174,30 +173,86 @@ enum ReadError {
     Pack(#[from] PackError),
 }
 
-/// The pack in a file of the cache, mapped: workers of one machine then share its memory.
-fn read(path: &Path) -> Result<Pack, ReadError> {
-    let file = File::open(path)?;
-    // SAFETY: a map must not change. The file is one of the cache's own: it was written under another name, is complete since it has this
-    // one, and is never written or cut again; it is only ever removed, which leaves the map alone.
-    #[expect(unsafe_code, reason = "mapping a file is unsafe, and saves a copy for each worker of a machine")]
-    let map = unsafe { memmap2::Mmap::map(&file) }?;
-    Ok(Pack::from_shared(Arc::new(map))?)
+/// Opens a file of the cache: a file, not a link to one that others may change, nor what waits for a writer.
+fn open_file(path: &Path) -> Result<File, ReadError> {
+    let mut options = OpenOptions::new();
+    options.read(true);
+    #[cfg(unix)]
+    {
+        use rustix::fs::OFlags;
+        use std::os::unix::fs::OpenOptionsExt;
+        // The flags of `open(2)` as the system has them.
+        options.custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32);
+    }
+    let file = options.open(path)?;
+    if !file.metadata()?.is_file() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a plain file").into());
+    }
+    Ok(file)
+}
+
+/// The pack in a file of the cache, mapped where only this user can change the file: workers of one machine then share its memory.
+fn read(mut file: File, path: &Path) -> Result<Pack, ReadError> {
+    let metadata = file.metadata()?;
+    let pack = if is_ours_alone(&metadata) {
+        // SAFETY: a map must not change. Nobody but this user may write to the file, and it is one of the cache's own: it was written under
+        // another name, is complete since it has this one, and is never written or cut again; it is only ever removed, which leaves the
+        // map alone.
+        #[expect(
+            unsafe_code,
+            reason = "mapping a file is unsafe, and saves a copy for each worker of a machine"
+        )]
+        let map = unsafe { memmap2::Mmap::map(&file) }?;
+        Pack::from_shared(Arc::new(map))?
+    } else {
+        let length = metadata.len();
+        let buffer = usize::try_from(length).ok().and_then(PackBuffer::with_len);
+        let mut buffer = buffer.ok_or(PackError::OutOfMemory(length))?;
+        file.read_exact(buffer.as_mut_slice())?;
+        Pack::from_buffer(buffer)?
+    };
+    // Where its use cannot be noted, it only seems to be older than it is.
+    if let Err(e) = file.set_modified(SystemTime::now()) {
+        tracing::debug!("{}: its time cannot be set: {e}", path.display());
+    }
+    Ok(pack)
+}
+
+/// Whether a file is this user's, and no other may write to it.
+#[cfg(unix)]
+fn is_ours_alone(metadata: &fs::Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    /// `S_IWGRP` and `S_IWOTH`.
+    const OTHERS_WRITE: u32 = 0o022;
+    metadata.uid() == rustix::process::geteuid().as_raw() && metadata.mode() & OTHERS_WRITE == 0
+}
+
+#[cfg(not(unix))]
+fn is_ours_alone(_: &fs::Metadata) -> bool {
+    false
+}
+
+/// Makes a folder, and those around it, for this user alone.
+fn make_folder(folder: &Path) -> io::Result<()> {
+    let mut builder = fs::DirBuilder::new();
+    builder.recursive(true);
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(folder)
 }
 
 /// Writes a new file that is on the disk when this returns. It is locked meanwhile.
 fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = OpenOptions::new().write(true).create_new(true).open(path)?;
+    let mut options = OpenOptions::new();
+    options.write(true).create_new(true);
+    // Whoever could write to it could change what is mapped, whatever the umask says.
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o644);
+    let mut file = options.open(path)?;
     // Where files cannot be locked, another worker that starts may remove it: then renaming fails, and nothing is kept.
     let _ = file.try_lock();
     file.write_all(bytes)?;
     file.sync_all()
-}
-
-/// Notes the use of a file. Where that cannot be, it only seems to be older than it is.
-fn touch(path: &Path) {
-    if let Err(e) = File::open(path).and_then(|file| file.set_modified(SystemTime::now())) {
-        tracing::debug!("{}: its time cannot be set: {e}", path.display());
-    }
 }
 
 /// Makes a rename last.
@@ -302,6 +357,32 @@ mod tests {
         let small = PackCache::open(folder.path(), length - 1).unwrap();
         assert!(!small.store(&packs[2]).unwrap());
         assert_eq!(packs.iter().map(is_here).collect::<Vec<_>>(), [true, true, false, true]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn files_that_others_may_change_are_copied_and_ours_are_mapped() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let made = folder.path().join("made");
+        let cache = PackCache::open(&made, 1 << 20).unwrap();
+        assert_eq!(fs::metadata(&made).unwrap().permissions().mode() & 0o777, 0o700);
+        let pack = pack(0);
+        cache.store(&pack).unwrap();
+        let path = cache.path(id(&pack));
+        // Whether a change of the file shows in what was loaded.
+        let is_mapped = |mode| {
+            fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
+            let loaded = cache.load(id(&pack)).unwrap();
+            assert_eq!(loaded.bytes(), pack.bytes());
+            let mut changed = pack.bytes().to_vec();
+            changed[0] ^= 1;
+            OpenOptions::new().write(true).open(&path).unwrap().write_all(&changed).unwrap();
+            let is_mapped = loaded.bytes() == changed;
+            OpenOptions::new().write(true).open(&path).unwrap().write_all(pack.bytes()).unwrap();
+            is_mapped
+        };
+        assert_eq!([0o644, 0o600, 0o664, 0o646].map(is_mapped), [true, true, false, false]);
     }
 
     #[cfg(unix)]
