@@ -1,9 +1,8 @@
 //! A worker process that a master has started on its own machine.
 
 use crate::{
-    Stop, WorkerConfig, WorkerError,
+    Stop, WorkerConfig, WorkerError, free_memory,
     join::{JoinError, serve_master},
-    serve::free_memory,
 };
 use std::{io::Read, time::Duration};
 use tessera_kdtree::Kernel;

@@ -18,7 +18,7 @@ use std::{
     time::Duration,
 };
 use tessera_trust::{Identity, OTHER_PROTOCOL_ALERT, WRONG_MASTER_ALERT};
-use tessera_wire::{AbortCode, JoinString, codec, limits};
+use tessera_wire::{AbortCode, JoinString, codec, limits, plain_text};
 use tokio::{
     io::{AsyncRead, ReadBuf},
     net::lookup_host,
@@ -40,6 +40,11 @@ pub struct Closer {
 }
 
 impl Closer {
+    /// What the connection's end means, if it has ended, to one that was not let in.
+    pub(crate) fn failure(&self, join: &JoinString) -> Option<JoinError> {
+        self.connection.close_reason().map(|reason| broken(reason, join))
+    }
+
     /// Waits until the master has read everything and closes, for two seconds at most: pixels of a few tiles at 1 Mbit/s.
     pub(crate) async fn see_off(&self) {
         const PATIENCE: Duration = Duration::from_secs(2);
@@ -77,16 +82,24 @@ pub async fn connect(join: &JoinString, own: &Identity) -> Result<Connected, Joi
     let quic = QuicClientConfig::try_from(tls).map_err(|e| JoinError::Setup(e.to_string()))?;
     let mut config = ClientConfig::new(Arc::new(quic));
     config.transport_config(Arc::new(transport()));
-    let mut failed = unreachable("the name has no address".into());
+    let mut failures = Vec::new();
     for address in addresses {
         let attempt = connect_to(address, config.clone(), join);
-        failed = match timeout(limits::HANDSHAKE_TIMEOUT, attempt).await {
+        match timeout(limits::HANDSHAKE_TIMEOUT, attempt).await {
             Ok(Ok(connected)) => return Ok(connected),
-            Ok(Err(error)) => error,
-            Err(_) => unreachable("no answer in time".into()),
-        };
+            Ok(Err(error)) => failures.push(error),
+            Err(_) => failures.push(unreachable("no answer in time".into())),
+        }
     }
-    Err(failed)
+    Err(worst(failures).unwrap_or_else(|| unreachable("the name has no address".into())))
+}
+
+/// Of the failures with the addresses of one name the first that no other attempt mends; else the last.
+fn worst(mut failures: Vec<JoinError>) -> Option<JoinError> {
+    match failures.iter().position(|failure| !failure.may_pass()) {
+        Some(first) => Some(failures.swap_remove(first)),
+        None => failures.pop(),
+    }
 }
 
 async fn connect_to(
@@ -113,7 +126,7 @@ async fn connect_to(
     Ok(Connected { pipes, closer: Closer { endpoint, connection } })
 }
 
-/// What a failed handshake means.
+/// What the end of a connection means before `Welcome`.
 fn broken(error: ConnectionError, join: &JoinString) -> JoinError {
     let address = join.address();
     match error {
@@ -137,7 +150,8 @@ fn broken(error: ConnectionError, join: &JoinString) -> JoinError {
             JoinError::Busy { address }
         }
         ConnectionError::TimedOut => JoinError::Unreachable { address, reason: "no answer".into() },
-        other => JoinError::Unreachable { address, reason: other.to_string() },
+        // The peer may have written part of it, and anybody may be the peer.
+        other => JoinError::Unreachable { address, reason: plain_text(&other.to_string()) },
     }
 }
 
@@ -216,6 +230,35 @@ fn transport() -> TransportConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_failure_that_stays_is_told_rather_than_one_that_may_pass() {
+        let address = |number: u32| format!("m:{number}");
+        let silent = |number| JoinError::Unreachable { address: address(number), reason: "no answer".into() };
+        let other = |number| JoinError::OtherMaster { address: address(number) };
+        assert_eq!(worst(vec![silent(1), other(2), other(3), silent(4)]), Some(other(2)));
+        assert_eq!(worst(vec![silent(1), silent(2)]), Some(silent(2)));
+        assert_eq!(worst(Vec::new()), None);
+    }
+
+    #[test]
+    fn what_a_stranger_says_reaches_no_terminal() {
+        let join = JoinString {
+            host: "m".into(),
+            port: 1,
+            fingerprint: tessera_wire::Fingerprint([0; 32]),
+            token: tessera_wire::Token::default(),
+        };
+        let close = quinn::ApplicationClose {
+            error_code: VarInt::from_u32(77),
+            reason: b"\x1b[2Jforged\nline".to_vec().into(),
+        };
+        let error = broken(ConnectionError::ApplicationClosed(close.clone()), &join);
+        assert!(error.to_string().contains("[2Jforgedline") && !error.to_string().contains(char::is_control));
+        let lost = quinn::ReadError::ConnectionLost(ConnectionError::ApplicationClosed(close));
+        let text = crate::pipes::reason(&io::Error::from(lost));
+        assert!(text.contains("[2Jforgedline") && !text.contains(char::is_control), "{text}");
+    }
 
     #[test]
     fn the_transport_is_what_the_limits_say() {

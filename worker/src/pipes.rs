@@ -2,7 +2,10 @@
 //! runtime.
 
 use std::io;
-use tessera_wire::codec::{self, CodecError, Message, PREFIX_BYTES};
+use tessera_wire::{
+    codec::{self, CodecError, Message, PREFIX_BYTES},
+    plain_text,
+};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 
 /// A pipe that is read.
@@ -14,11 +17,17 @@ pub(crate) type Writer = Box<dyn AsyncWrite + Send + Unpin>;
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum PipeError {
     /// The connection broke, or ended in the middle of something.
-    #[error("{0}")]
+    #[error("{}", reason(.0))]
     Io(#[from] io::Error),
     /// The peer sent what is not a message.
     #[error("{0}")]
     Codec(#[from] CodecError),
+}
+
+/// Why a pipe broke, for people. QUIC's streams say only that the connection is lost; why is behind that, and part of it is the peer's.
+pub(crate) fn reason(error: &io::Error) -> String {
+    let behind = error.get_ref().and_then(|inner| inner.source());
+    plain_text(&behind.map_or_else(|| error.to_string(), ToString::to_string))
 }
 
 /// The next message, `None` at the end of the pipe.

@@ -79,6 +79,7 @@ pub async fn stay<E: From<WorkerError> + Display>(
             Ok(_) => return Ok(()),
             Err(error) => error,
         };
+        // Before a master has taken it, these are errors of joining.
         if matches!(error, WorkerError::Lost(_) | WorkerError::Aborted { .. }) {
             has_served = true;
             failing_since = Instant::now();
@@ -98,7 +99,7 @@ pub async fn stay<E: From<WorkerError> + Display>(
         tracing::warn!("{error}; joining again in {:.1} s", pause.as_secs_f64());
         tokio::select! {
             () = sleep(pause) => {}
-            _ = stop.wait_for(|stop| *stop != Stop::No) => return Ok(()),
+            Ok(_) = stop.wait_for(|stop| *stop != Stop::No) => return Ok(()),
         }
         if retry.join_may_change {
             match find() {
@@ -112,7 +113,59 @@ pub async fn stay<E: From<WorkerError> + Display>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tessera_wire::AbortCode;
+    use std::{net::Ipv4Addr, sync::Arc};
+    use tessera_kdtree::Kernel;
+    use tessera_wire::{AbortCode, Token};
+    use tokio::time::timeout;
+
+    /// A master that takes a connection and the first bytes of its control stream, and closes it then with `code`.
+    fn evicting(own: &Identity, code: AbortCode) -> (quinn::Endpoint, JoinString) {
+        let tls = tessera_trust::master_config(own).unwrap();
+        let tls = quinn::crypto::rustls::QuicServerConfig::try_from(tls).unwrap();
+        let config = quinn::ServerConfig::with_crypto(Arc::new(tls));
+        let endpoint = quinn::Endpoint::server(config, (Ipv4Addr::LOCALHOST, 0).into()).unwrap();
+        let port = endpoint.local_addr().unwrap().port();
+        let host = Ipv4Addr::LOCALHOST.to_string();
+        let join = JoinString { host, port, fingerprint: own.fingerprint(), token: Token::default() };
+        let door = endpoint.clone();
+        tokio::spawn(async move {
+            while let Some(incoming) = door.accept().await {
+                let connection = incoming.await.expect("the worker shows a certificate");
+                let (_answer, mut control) = connection.accept_bi().await.expect("it says `Hello`");
+                control.read(&mut [0; 64]).await.expect("it says `Hello`");
+                connection.close(code.number().into(), b"\x1b[2Jgo away");
+            }
+        });
+        (endpoint, join)
+    }
+
+    #[tokio::test]
+    async fn a_master_that_has_let_nobody_in_is_not_joined_again_for_ever() {
+        let retry = RetryConfig { at_first: Duration::ZERO, again: None, join_may_change: false };
+        for code in [AbortCode::Busy, AbortCode::Internal] {
+            let (master, own) = (Identity::new().unwrap(), Identity::new().unwrap());
+            let (_endpoint, join) = evicting(&master, code);
+            let config = WorkerConfig {
+                name: "w".into(),
+                threads: 1,
+                kernel: Kernel::auto(),
+                memory: Some(0),
+                cache: None,
+            };
+            let (_ask, asked) = watch::channel(Stop::No);
+            let find = || Ok::<_, WorkerError>(join.clone());
+            let ended = timeout(Duration::from_secs(100), stay(find, &own, config, retry, asked)).await;
+            let error = ended.expect("it tries once").expect_err("nobody has taken it");
+            let address = join.address();
+            match (code, error) {
+                (AbortCode::Busy, WorkerError::Join(error)) => assert_eq!(error, JoinError::Busy { address }),
+                (_, WorkerError::Join(JoinError::Unreachable { reason, .. })) => {
+                    assert!(reason.contains("[2Jgo away") && !reason.contains('\x1b'), "{reason}");
+                }
+                (code, error) => panic!("{code:?}: {error:?}"),
+            }
+        }
+    }
 
     #[test]
     fn pauses_double_up_to_a_bound_and_are_spread_over_all_of_it() {

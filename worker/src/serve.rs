@@ -3,13 +3,14 @@
 use crate::{
     NUMERIC_CLASS, PackCache,
     backend::cpu,
+    free_memory,
     join::JoinError,
-    pipes::{PipeError, Reader, Writer, read_message, write_message},
+    pipes::{PipeError, Reader, Writer, read_message, reason, write_message},
     receive::{Assembly, receive},
     render::{RenderEvent, RenderThread},
     session::{Action, Batch, Ending, RenderedTile, Session},
 };
-use std::time::Duration;
+use std::{io, time::Duration};
 use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 use tessera_wire::{
@@ -56,9 +57,9 @@ pub enum Stop {
     /// To go on.
     #[default]
     No,
-    /// To finish the tile in hand, return what it has rendered, and leave; others get the rest. Takes 5 s at most, then it is as `Now`.
+    /// To finish the tile in hand, return what it has rendered, and leave; others get the rest. The tile has 5 s, then it is as `Now`.
     Drain,
-    /// To leave at once.
+    /// To leave without the tile in hand.
     Now,
 }
 
@@ -87,7 +88,7 @@ pub enum WorkerError {
     #[error("the connection to the master is lost: {0}")]
     Lost(String),
     /// The master does not take this worker.
-    #[error("the master refuses this worker: {0}")]
+    #[error("the master refuses this worker: {}", plain_text(&.0.to_string()))]
     Refused(Refusal),
     /// One side cut the connection.
     #[error("the session was cut: {code}: {detail}")]
@@ -115,7 +116,14 @@ impl WorkerError {
 /// Serves the master behind `pipes` until it dismisses the worker. Dropping the future ends the worker.
 pub async fn serve(pipes: WorkerPipes, config: WorkerConfig) -> Result<(), WorkerError> {
     let (_nobody, stop) = watch::channel(Stop::No);
-    serve_until(pipes, config, Token::default(), stop).await.map(|_| ())
+    serve_until(pipes, config, Token::default(), stop).await.outcome.map(|_| ())
+}
+
+/// How it went with one connection.
+pub(crate) struct Served {
+    /// Whether the master had let the worker in.
+    pub(crate) was_welcomed: bool,
+    pub(crate) outcome: Result<Parting, WorkerError>,
 }
 
 /// [`serve`], showing `token`, until `stop` asks the worker to leave.
@@ -123,10 +131,8 @@ pub(crate) async fn serve_until(
     pipes: WorkerPipes,
     config: WorkerConfig,
     token: Token,
-    mut stop: watch::Receiver<Stop>,
-) -> Result<Parting, WorkerError> {
-    /// How long a drained worker may take for the tile in hand; supervisors kill after ten seconds.
-    const DRAIN: Duration = Duration::from_secs(5);
+    stop: watch::Receiver<Stop>,
+) -> Served {
     let begun = Instant::now();
     let memory = config.memory.or_else(free_memory);
     let hello = Hello {
@@ -140,8 +146,24 @@ pub(crate) async fn serve_until(
             numeric_class: NUMERIC_CLASS.into(),
         }),
     };
-    let mut driver = Driver::start(pipes, (config.threads.max(1), config.kernel), config.cache)?;
+    let driver = match Driver::start(pipes, (config.threads.max(1), config.kernel), config.cache) {
+        Ok(driver) => driver,
+        Err(error) => return Served { was_welcomed: false, outcome: Err(error) },
+    };
     let mut session = Session::start(hello, memory, begun.elapsed());
+    let outcome = drive(driver, &mut session, begun, stop).await;
+    Served { was_welcomed: session.was_welcomed(), outcome }
+}
+
+async fn drive(
+    mut driver: Driver,
+    session: &mut Session,
+    begun: Instant,
+    mut stop: watch::Receiver<Stop>,
+) -> Result<Parting, WorkerError> {
+    /// How long a drained worker may take for the tile in hand. Seeing off what it says last takes up to another 5 s over a bad network,
+    /// and supervisors kill after ten seconds.
+    const DRAIN: Duration = Duration::from_secs(5);
     let mut asked = Stop::No;
     let mut drained = None;
     loop {
@@ -157,15 +179,15 @@ pub(crate) async fn serve_until(
             }
         }
         while let Some(action) = session.poll() {
-            if let Some(ending) = driver.act(action, &mut session) {
-                driver.close().await;
+            if let Some(ending) = driver.act(action, session) {
+                driver.close(asked).await;
                 return ending_to_result(ending);
             }
         }
         let deadline = session.deadline().map(|deadline| begun + deadline);
         tokio::select! {
             event = driver.events.recv() => match event {
-                Some(event) => driver.take(event, &mut session)?,
+                Some(event) => driver.take(event, session)?,
                 None => return Err(WorkerError::Lost("its tasks have ended".into())),
             },
             () = async { sleep_until(deadline.unwrap_or(begun)).await }, if deadline.is_some() => {
@@ -298,7 +320,10 @@ impl Driver {
                 session.pack_received(id, result);
             }
             Event::Broken(PipeError::Codec(e)) => session.abort(AbortCode::Malformed, e.to_string()),
-            Event::Broken(PipeError::Io(e)) => return Err(WorkerError::Lost(e.to_string())),
+            Event::Broken(PipeError::Io(e)) if e.kind() == io::ErrorKind::InvalidData => {
+                session.abort(AbortCode::Malformed, reason(&e));
+            }
+            Event::Broken(PipeError::Io(e)) => return Err(WorkerError::Lost(reason(&e))),
             Event::Ended => return Err(WorkerError::Lost("the master has closed it".into())),
         }
         Ok(())
@@ -314,15 +339,17 @@ impl Driver {
         });
     }
 
-    /// Sees the last messages, and packs, off.
-    async fn close(mut self) {
+    /// Sees the last messages off, and packs that are being kept unless the worker was `asked` to end: a pack can be had again.
+    async fn close(mut self, asked: Stop) {
         /// A peer that does not read is not waited for.
         const FAREWELL: Duration = Duration::from_secs(1);
         /// Gigabytes on a disk.
         const KEEPING: Duration = Duration::from_secs(5);
         drop((self.control, self.bulk));
         let _ = timeout(FAREWELL, async { (self.control_writer.await, self.bulk_writer.await) }).await;
-        let _ = timeout(KEEPING, async { while self.keeping.join_next().await.is_some() {} }).await;
+        if asked == Stop::No {
+            let _ = timeout(KEEPING, async { while self.keeping.join_next().await.is_some() {} }).await;
+        }
     }
 }
 
@@ -359,6 +386,8 @@ async fn write_bulk(
     while let Some(batch) = batches.recv().await {
         let event = match write_batch(&mut pipe, batch).await {
             Ok(()) => Event::BatchSent,
+            // A master that cuts the connection stops reading first. Its control pipe tells why, and this one must not be before it.
+            Err(PipeError::Io(e)) => return tracing::debug!("bulk pipe: {}", reason(&e)),
             Err(e) => Event::Broken(e),
         };
         if tell.send(event).await.is_err() {
@@ -404,6 +433,10 @@ async fn read_packs(
         let Ok(assembly) = assembly else { continue };
         let event = match receive(&mut pipe, assembly).await {
             Ok(result) => Event::PackReceived(pack, result),
+            // As in `write_bulk`; what is no pipe of packs at all is the master's fault.
+            Err(PipeError::Io(e)) if e.kind() != io::ErrorKind::InvalidData => {
+                return tracing::debug!("bulk pipe: {}", reason(&e));
+            }
             Err(e) => Event::Broken(e),
         };
         if tell.send(event).await.is_err() {
@@ -421,9 +454,29 @@ fn ending_to_result(ending: Ending) -> Result<Parting, WorkerError> {
     }
 }
 
-/// Memory that the system could give without swapping, where it says so (Linux).
-pub fn free_memory() -> Option<u64> {
-    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
-    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tessera_wire::{BatchHeader, FrameId};
+
+    /// The master stops reading and writing its bulk pipe before its `Abort` arrives: the worker waits for that.
+    #[tokio::test]
+    async fn a_bulk_pipe_that_breaks_is_not_a_lost_connection() {
+        let (here, there) = tokio::io::duplex(64);
+        drop(there);
+        let (pipe_in, pipe_out) = tokio::io::split(here);
+        let (tell, mut told) = mpsc::channel(8);
+
+        let (wanted_packs, wanted) = mpsc::unbounded_channel();
+        wanted_packs.send((PackId([1; 32]), 100)).unwrap();
+        read_packs(Box::new(pipe_in), wanted, None, tell.clone()).await;
+        assert!(matches!(told.recv().await, Some(Event::PackReserved(_, Ok(())))));
+        assert!(told.try_recv().is_err());
+
+        let (bulk, batches) = mpsc::unbounded_channel();
+        let header = BatchHeader { frame: FrameId(1), tiles: Vec::new() };
+        bulk.send(Batch { header, pixels: vec![vec![0; 100]] }).unwrap();
+        write_bulk(Box::new(pipe_out), batches, tell).await;
+        assert!(told.recv().await.is_none());
+    }
 }

@@ -10,6 +10,8 @@ use tessera_wire::{
 #[derive(Clone, Debug)]
 pub struct Session {
     phase: Phase,
+    /// Whether the master has let this worker in.
+    was_welcomed: bool,
     /// Bytes that a pack may take, as far as known.
     memory: Option<u64>,
     holding: Holding,
@@ -131,6 +133,7 @@ impl Session {
     pub fn start(hello: Hello, memory: Option<u64>, now: Duration) -> Self {
         Self {
             phase: Phase::Greeting { deadline: now + limits::HANDSHAKE_TIMEOUT },
+            was_welcomed: false,
             memory,
             holding: Holding::Nothing,
             frame: None,
@@ -155,6 +158,11 @@ impl Session {
         }
     }
 
+    /// Whether `Welcome` has come.
+    pub fn was_welcomed(&self) -> bool {
+        self.was_welcomed
+    }
+
     /// Time has passed.
     pub fn tick(&mut self, now: Duration) {
         if self.deadline().is_some_and(|deadline| now >= deadline) {
@@ -170,6 +178,7 @@ impl Session {
             (_, ToWorker::Dismiss) => self.end(Ending::Dismissed),
             (Phase::Greeting { .. }, ToWorker::Welcome { version, .. }) => {
                 self.phase = Phase::Joined;
+                self.was_welcomed = true;
                 if Version::from_number(version).is_none() {
                     self.abort(AbortCode::Unexpected, format!("version {version} was not offered"));
                 }
@@ -281,16 +290,16 @@ impl Session {
         if let Some(active) = &mut self.frame {
             active.queue.clear();
             if !self.rendering {
-                let (said, batch) = active.flush();
-                self.hand_over(said, batch);
+                self.flush();
             }
         }
         self.render_next();
     }
 
-    /// Ends the session from this side, in peace.
+    /// Ends the session from this side, in peace: what is rendered is returned, others get the rest.
     pub fn leave(&mut self) {
         if self.phase != Phase::Over {
+            self.flush();
             self.send(ToMaster::Leave);
             self.end(Ending::Left);
         }
@@ -364,6 +373,14 @@ impl Session {
         if !self.draining {
             active.queue.extend(tiles.iter().map(|&tile| (tile, attempt)));
             self.render_next();
+        }
+    }
+
+    /// Returns what was kept for later.
+    fn flush(&mut self) {
+        if let Some(active) = &mut self.frame {
+            let (said, batch) = active.flush();
+            self.hand_over(said, batch);
         }
     }
 
@@ -757,8 +774,27 @@ mod tests {
         s.message(ToWorker::Dismiss);
         assert_eq!(actions(&mut s), [Action::Over(Ending::Dismissed)]);
 
+        let leaves = [Action::Send(ToMaster::Leave), Action::Over(Ending::Left)];
         let mut s = loaded();
         s.leave();
-        assert_eq!(actions(&mut s), [Action::Send(ToMaster::Leave), Action::Over(Ending::Left)]);
+        assert_eq!(actions(&mut s), leaves);
+
+        // The second tile takes too long: the first is not thrown away.
+        let mut s = loaded();
+        s.message(ToWorker::Frame(frame(1, ReturnMode::AtEnd)));
+        assign(&mut s, 1, [0, 1]);
+        let Some(Action::Render(first)) = s.poll() else { panic!("nothing to render") };
+        let (time, rays) = (Duration::ZERO, Rays::default());
+        s.rendered(RenderedTile { task: first, pixels: vec![0; 16], time, rays });
+        assert!(matches!(actions(&mut s)[..], [Action::Render(_)]));
+        s.drain();
+        assert_eq!(actions(&mut s), []);
+        s.leave();
+        let last = actions(&mut s);
+        let [Action::Send(ToMaster::Rendered { tiles: 1, .. }), Action::Return(batch), rest @ ..] = &last[..]
+        else {
+            panic!("{last:?}")
+        };
+        assert!(batch.header.tiles[0].tile == first.tile && *rest == leaves);
     }
 }
