@@ -16,7 +16,7 @@ pub(crate) struct Admission {
 struct Open {
     token: Token,
     until: Option<Duration>,
-    /// Who has come in time, the latest last: they may come back later.
+    /// Workers that have come in time, the latest last: they may come back later. Clients have nothing to come back to.
     known: VecDeque<Fingerprint>,
 }
 
@@ -32,7 +32,7 @@ pub(crate) enum Admitted {
 }
 
 impl Admission {
-    /// Peers that are remembered beyond the token's time; the one that came first is forgotten first.
+    /// Workers that are remembered beyond the token's time; the one that has not come for longest is forgotten first.
     const KNOWN: usize = 4096;
 
     /// Takes local workers only, each by its own token.
@@ -53,11 +53,12 @@ impl Admission {
         now: Duration,
     ) -> Result<Admitted, Refusal> {
         if let Some(open) = self.open.as_mut().filter(|open| open.token == hello.token) {
-            open.admit(identity, now)?;
-            return Ok(match hello.role {
+            let admitted = match hello.role {
                 Role::Worker(_) => Admitted::Worker,
                 Role::Client => Admitted::Client,
-            });
+            };
+            open.admit(admitted, identity, now)?;
+            return Ok(admitted);
         }
         let index = self.tickets.iter().position(|(token, _)| *token == hello.token).ok_or(Refusal::Token)?;
         if hello.role == Role::Client {
@@ -72,12 +73,19 @@ impl Admission {
 }
 
 impl Open {
-    fn admit(&mut self, identity: Fingerprint, now: Duration) -> Result<(), Refusal> {
-        if self.known.contains(&identity) {
+    fn admit(&mut self, admitted: Admitted, identity: Fingerprint, now: Duration) -> Result<(), Refusal> {
+        if admitted == Admitted::Worker
+            && let Some(at) = self.known.iter().position(|&known| known == identity)
+        {
+            self.known.remove(at);
+            self.known.push_back(identity);
             return Ok(());
         }
         if self.until.is_some_and(|until| now >= until) {
             return Err(Refusal::Expired);
+        }
+        if admitted != Admitted::Worker {
+            return Ok(());
         }
         if self.known.len() == Admission::KNOWN {
             self.known.pop_front();
@@ -123,6 +131,7 @@ mod tests {
         );
         let client = Hello { role: Role::Client, ..hello(RIGHT) };
         assert_eq!(door.admit(&client, peer(7), before), Ok(Admitted::Client));
+        assert_eq!(door.admit(&client, peer(7), END), Err(Refusal::Expired), "clients are not remembered");
         let mut for_ever = Admission::open(RIGHT, None);
         assert_eq!(for_ever.admit(&hello(RIGHT), peer(0), END * 1000), Ok(Admitted::Worker));
         assert_eq!(for_ever.admit(&hello(Token::default()), peer(0), END), Err(Refusal::Token));
@@ -131,12 +140,22 @@ mod tests {
     #[test]
     fn the_known_are_bounded() {
         let mut door = Admission::open(RIGHT, Some(END));
-        for number in 0..=Admission::KNOWN as u32 {
+        let most = Admission::KNOWN as u32;
+        for number in 0..most {
             door.admit(&hello(RIGHT), peer(number), Duration::ZERO).unwrap();
         }
+        let client = Hello { role: Role::Client, ..hello(RIGHT) };
+        for number in 0..2 * most {
+            door.admit(&client, peer(most + 1 + number), Duration::ZERO).unwrap();
+        }
+        // It is back, and was not away for longest any more.
+        door.admit(&hello(RIGHT), peer(0), Duration::ZERO).unwrap();
+        door.admit(&hello(RIGHT), peer(most), Duration::ZERO).unwrap();
         assert_eq!(door.open.as_ref().map(|open| open.known.len()), Some(Admission::KNOWN));
-        assert_eq!(door.admit(&hello(RIGHT), peer(0), END), Err(Refusal::Expired), "the first is forgotten");
-        assert_eq!(door.admit(&hello(RIGHT), peer(1), END), Ok(Admitted::Worker));
+        assert_eq!(door.admit(&hello(RIGHT), peer(1), END), Err(Refusal::Expired), "it is forgotten");
+        for number in [0, 2, most] {
+            assert_eq!(door.admit(&hello(RIGHT), peer(number), END), Ok(Admitted::Worker), "{number}");
+        }
     }
 
     #[test]

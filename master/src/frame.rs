@@ -47,6 +47,12 @@ impl FrameJob {
 }
 
 impl FrameJob {
+    /// Of its largest tile; the job is in range.
+    pub(crate) fn tile_bytes(&self) -> u64 {
+        let side = |length: u32| u64::from(length.min(self.tile));
+        side(self.width) * side(self.height) * self.format.bytes_per_pixel() as u64
+    }
+
     /// The job of a client.
     pub(crate) fn from_wire(frame: &Frame, balance: Balance) -> Self {
         let Frame { camera, width, height, tile, samples, depth, seed, features, format, .. } = *frame;

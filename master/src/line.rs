@@ -54,6 +54,8 @@ pub(crate) struct Counters {
     pub(crate) received: AtomicU64,
     /// Of `sent`, raw bytes of packs.
     pub(crate) pack: AtomicU64,
+    /// Of the largest tile that any frame so far has had.
+    pub(crate) tile_bytes: AtomicU64,
 }
 
 /// A connected worker.
@@ -145,7 +147,8 @@ async fn read_control(
     tell: mpsc::Sender<Input>,
     counters: Arc<Counters>,
 ) {
-    // Nobody is trusted with more before the first message is read.
+    // In memory the first message is the `Hello`, and nobody is trusted with more before it is read. The door has read a guest's; its
+    // next is as short.
     let mut limit = limits::HELLO_BYTES;
     loop {
         let input = match read_message::<ToMaster>(&mut pipe, limit).await {
@@ -215,6 +218,11 @@ async fn read_batch(
     counters.received.fetch_add(header_bytes, Ordering::Relaxed);
     let mut header_share = header_bytes;
     for entry in header.tiles {
+        let most = counters.tile_bytes.load(Ordering::Relaxed);
+        if u64::from(entry.length) > most {
+            let detail = format!("a tile of {} bytes, no frame had one of more than {most}", entry.length);
+            return Err(PipeError::Malformed(detail));
+        }
         let pixels = read_raw(pipe, entry.length as usize).await?;
         counters.received.fetch_add(pixels.len() as u64, Ordering::Relaxed);
         let wire_bytes = std::mem::take(&mut header_share) + pixels.len() as u64;
@@ -244,5 +252,36 @@ async fn write_packs(
             let _ = tell.send(Input::Broken(worker, e)).await;
             return;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tessera_wire::{Attempt, Rays, TileId};
+
+    #[tokio::test]
+    async fn a_tile_longer_than_any_frame_has_had_is_not_read() {
+        let (link, mut there) = Link::in_memory();
+        let (tell, mut inputs) = mpsc::channel(8);
+        let counters = Arc::<Counters>::default();
+        counters.tile_bytes.store(100, Ordering::Relaxed);
+        let _line = Line::start(WorkerId(0), link, &tell, &counters);
+        let entry = |length| TileEntry {
+            tile: TileId(0),
+            attempt: Attempt(0),
+            length,
+            render_us: 0,
+            rays: Rays::default(),
+        };
+        let header = BatchHeader { frame: FrameId(1), tiles: vec![entry(100), entry(101)] };
+        write_message(&mut there.bulk_out, &header).await.unwrap();
+        // Enough for the first alone: the second is not waited for.
+        there.bulk_out.write_all(&[7; 100]).await.unwrap();
+        assert!(matches!(inputs.recv().await, Some(Input::Tile(_, tile)) if tile.pixels == [7; 100]));
+        let next = inputs.recv().await;
+        assert!(
+            matches!(&next, Some(Input::Broken(_, PipeError::Malformed(detail))) if detail.contains("101"))
+        );
     }
 }

@@ -158,6 +158,7 @@ impl Session {
                     Holding::Offered(awaited) | Holding::Awaited(awaited),
                     ToMaster::PackRejected { pack, reason },
                 ) if *awaited == pack => {
+                    let reason = reason.plain();
                     *holding = Holding::Rejected(reason.clone());
                     let next = next.take();
                     return self.answered(Step::PackRejected(reason), next, now);
@@ -426,6 +427,12 @@ mod tests {
             [Step::PackRejected(reason)]
         );
         assert!(s.name().is_some() && !s.holds(PACK) && !s.awaits_pack() && s.deadline().is_none());
+        // Its words go to logs and to clients.
+        let mut forger = joined();
+        forger.offer(PACK, 10, NOW);
+        let reason = |detail: &str| PackRefusal::Invalid { detail: detail.into() };
+        let forged = ToMaster::PackRejected { pack: PACK, reason: reason("x\nforged\u{2028}\u{202e}") };
+        assert_eq!(forger.message(forged, None, NOW), [Step::PackRejected(reason("xforged"))]);
         assert!(matches!(s.offer(PackId([1; 32]), 4, NOW)[..], [Step::Send(ToWorker::PackOffer { .. })]));
     }
 

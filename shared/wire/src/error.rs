@@ -83,6 +83,17 @@ pub enum PackRefusal {
     },
 }
 
+impl PackRefusal {
+    /// The same, as it may go to a log.
+    pub fn plain(self) -> Self {
+        match self {
+            Self::Transfer { detail } => Self::Transfer { detail: plain_text(&detail) },
+            Self::Invalid { detail } => Self::Invalid { detail: plain_text(&detail) },
+            Self::OutOfMemory { .. } | Self::HashMismatch { .. } => self,
+        }
+    }
+}
+
 /// Why a connection is cut; the number is also QUIC's application close code. One line each, numbers are
 /// never reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Encode, Decode, thiserror::Error)]
@@ -127,12 +138,19 @@ impl AbortCode {
     }
 }
 
-/// A text that may go to a peer, or that came from one and goes to a log: without control characters, and at most
-/// [`limits::TEXT_BYTES`] bytes of it.
+/// A text that may go to a peer, or that came from one and goes to a log: without characters that forge lines or hide some, and at
+/// most [`limits::TEXT_BYTES`] bytes of it.
 pub fn plain_text(text: &str) -> String {
-    let mut plain: String = text.chars().filter(|c| !c.is_control()).take(limits::TEXT_BYTES).collect();
+    let mut plain: String = text.chars().filter(|&c| is_plain(c)).take(limits::TEXT_BYTES).collect();
     plain.truncate(plain.floor_char_boundary(limits::TEXT_BYTES));
     plain
+}
+
+/// Not a control character, a separator of lines or paragraphs, or one that turns the direction of what follows (Unicode 16,
+/// `Bidi_Control`'s embeddings, overrides and isolates).
+pub(crate) fn is_plain(c: char) -> bool {
+    !c.is_control()
+        && !matches!(c, '\u{2028}' | '\u{2029}' | '\u{202A}'..='\u{202E}' | '\u{2066}'..='\u{2069}')
 }
 
 #[cfg(test)]
@@ -142,6 +160,9 @@ mod tests {
     #[test]
     fn texts_become_plain_and_are_cut_at_a_character() {
         assert_eq!(plain_text("short\n\x1b[2J"), "short[2J");
+        assert_eq!(plain_text("a\u{2028}b\u{2029}c\u{202a}\u{202e}d\u{2066}\u{2069}é"), "abcdé");
+        let refused = PackRefusal::Transfer { detail: "x\nforged".into() }.plain();
+        assert_eq!(refused.to_string(), "bad transfer: xforged");
         assert_eq!(plain_text(&"é".repeat(400)), "é".repeat(256));
         assert_eq!(plain_text(&format!("a{}", "é".repeat(400))).len(), limits::TEXT_BYTES - 1);
     }

@@ -66,7 +66,7 @@ impl Hello {
 }
 
 fn check_text(what: &str, text: &str) -> Result<(), String> {
-    if text.is_empty() || text.len() > limits::TEXT_BYTES || text.chars().any(char::is_control) {
+    if text.is_empty() || text.len() > limits::TEXT_BYTES || !text.chars().all(crate::error::is_plain) {
         let most = limits::TEXT_BYTES;
         return Err(format!("{what} must have 1 to {most} bytes and no control characters"));
     }
