@@ -264,6 +264,7 @@ impl Cluster {
     ) -> Result<FrameResult, RenderError> {
         let pack = self.pack.ok_or(RenderError::NoPack)?;
         self.coordinator.begin(job, self.now())?;
+        self.counters.tile_bytes.fetch_max(job.tile_bytes(), Ordering::Relaxed);
         loop {
             for event in self.carry_out() {
                 self.report(event, &mut progress);

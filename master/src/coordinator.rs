@@ -543,3 +543,41 @@ impl WorkerReport {
         Self { name: name.into(), tiles: 0, render: Duration::ZERO, bytes_returned: 0, lost: None, rejected }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tessera_wire::{Abilities, Hello, Role, Token, Version};
+
+    fn hello() -> ToMaster {
+        let abilities =
+            Abilities { memory: 0, threads: 1, backend: "cpu".into(), numeric_class: "cpu-1".into() };
+        let versions = Version::supported_numbers();
+        ToMaster::Hello(Hello {
+            versions,
+            token: Token::default(),
+            name: "w".into(),
+            role: Role::Worker(abilities),
+        })
+    }
+
+    #[test]
+    fn connections_that_are_over_are_forgotten() {
+        let mut coordinator = Coordinator::new(Some("cpu-1".into()));
+        coordinator.load(PackId([1; 32]), 10, Duration::ZERO);
+        for number in 0..1000 {
+            let worker = coordinator.connected(Duration::ZERO);
+            // Some never join, and some are refused.
+            match number % 3 {
+                0 => {}
+                1 => coordinator.refuse(worker, Refusal::Full { limit: 1 }, Duration::ZERO),
+                _ => coordinator.message(worker, hello(), Duration::ZERO),
+            }
+            coordinator.lost(worker, AbortCode::Done, "gone".into(), Duration::ZERO);
+            let told = std::iter::from_fn(|| coordinator.poll())
+                .filter(|output| matches!(output, Output::Event(Event::Lost(lost, _)) if *lost == worker));
+            assert_eq!(told.count(), 1, "{number}");
+        }
+        assert_eq!((coordinator.sessions.len(), coordinator.deadline()), (0, None));
+    }
+}
