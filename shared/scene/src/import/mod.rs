@@ -9,7 +9,7 @@ mod resolve;
 mod texels;
 
 pub use report::listed;
-pub(crate) use report::without_controls;
+pub(crate) use report::{one_line, without_controls};
 pub(crate) use resolve::read_file;
 
 use crate::{Image, Scene, SceneError};

@@ -83,6 +83,11 @@ pub(crate) fn clean(name: &str) -> String {
     without_controls(&name[..end])
 }
 
+/// What a library says of a file, on one line; names in it come from the file and must not steer a terminal.
+pub(crate) fn one_line(text: &str) -> String {
+    without_controls(&text.split_whitespace().collect::<Vec<_>>().join(" "))
+}
+
 /// `text` with control characters replaced.
 pub(crate) fn without_controls(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c }).collect()
@@ -122,6 +127,7 @@ mod tests {
     #[test]
     fn names_cannot_steer_a_terminal() {
         assert_eq!(shown("a\u{1b}[2Jb"), "a\\u{1b}[2Jb");
+        assert_eq!(one_line(" a\n  b\u{1b}[2J\n"), "a b\u{fffd}[2J");
         assert_eq!(clean("a\u{1b}[2J\nb c"), "a\u{fffd}[2J\u{fffd}b c");
         assert_eq!(clean(&"é".repeat(300)).chars().count(), NAME_KEPT_MAX);
         assert_eq!(shown(&"x".repeat(200)).len(), NAME_SHOWN_MAX + 3);

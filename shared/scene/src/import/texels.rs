@@ -2,7 +2,7 @@
 
 use super::has_room;
 use super::limits::{IMAGE_SIDE_MAX, IMAGE_TEXELS_MAX, TOTAL_TEXELS_MAX};
-use super::report::clean;
+use super::report::{clean, one_line};
 use crate::Image;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use std::io::Cursor;
@@ -33,7 +33,10 @@ impl TexelReader {
         reader.limits(limits);
         let broken = |error: image::ImageError| match error {
             image::ImageError::Limits(_) => too_large("has"),
-            error => format!("cannot be decoded: {error}; it is truncated or damaged: export it again"),
+            error => {
+                let said = one_line(&error.to_string());
+                format!("cannot be decoded: {said}; it is truncated or damaged: export it again")
+            }
         };
         let decoder = reader.into_decoder().map_err(broken)?;
         let (width, height) = decoder.dimensions();
@@ -141,10 +144,15 @@ mod tests {
             (b"RIFF\0\0\0\0WEBPVP8 ".to_vec(), "WebP"),
             (b"GIF89a".to_vec(), "neither PNG nor JPEG"),
             (Vec::new(), "empty"),
+            // The decoder's own words for it end with a new line.
+            (
+                b"\xff\xd8\xff\xe0\x00\x10JFIF\x00\x01\x01\x00\x00\x01\x00\x01\x00\x00\xff\xdb".to_vec(),
+                "cannot be decoded",
+            ),
             (png(&DynamicImage::new_rgba8(4, 4))[..40].to_vec(), "cannot be decoded"),
         ] {
             let error = reader.decode("x", &bytes).unwrap_err();
-            assert!(error.contains(why), "{error}");
+            assert!(error.contains(why) && !error.contains(char::is_control), "{error:?}");
         }
         reader.texels_left = 3;
         assert!(

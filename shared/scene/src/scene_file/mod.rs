@@ -156,9 +156,7 @@ impl Faults<'_> {
             let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
             format!("line {line}, column {column}: ")
         });
-        // A parser's message may take several lines; ours take one.
-        // Names in it come from the file and must not steer a terminal.
-        let what = import::without_controls(&what.split_whitespace().collect::<Vec<_>>().join(" "));
+        let what = import::one_line(what);
         SceneError::Invalid { path: self.path.to_owned(), what: format!("{place}{what}") }
     }
 }

@@ -3,7 +3,7 @@
 use super::json::Root;
 use crate::SceneError;
 use crate::import::limits::{JSON_BYTES_MAX, JSON_OBJECTS_MAX, JSON_VALUES_MAX};
-use crate::import::report::{Report, shown};
+use crate::import::report::{Report, one_line, shown};
 use std::path::Path;
 
 /// Extensions that are read, each as the module documentation of the importer says.
@@ -119,7 +119,9 @@ pub(super) fn parse(json: &[u8], path: &Path, report: &mut Report) -> Result<Roo
     if values > JSON_VALUES_MAX {
         return Err(report.invalid(format!("has {values} JSON values, more than {JSON_VALUES_MAX}")));
     }
-    let malformed = |error: serde_json::Error| report.invalid(format!("is not valid glTF JSON: {error}"));
+    let malformed = |error: serde_json::Error| {
+        report.invalid(format!("is not valid glTF JSON: {}", one_line(&error.to_string())))
+    };
     let probe: Probe = serde_json::from_slice(json).map_err(malformed)?;
     let needed = probe.asset.min_version.as_ref().unwrap_or(&probe.asset.version);
     if !needed.starts_with("2.") {
