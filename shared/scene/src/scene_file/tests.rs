@@ -49,7 +49,10 @@ fn errors_say_where() {
     check_refused(&table("[material.\"a\\u001b[2J\"]\nroughness = 0.5\n"), &["no such material"]);
     let twice = camera("target = [0.0, 0.0, 0.0]\nfov = 40.0\n");
     check_refused(&format!("{twice}{}", &twice[CORNELL.len()..]), &["\"a\"", "taken"]);
-    check_refused(&format!("default_camera = \"b\"\n{CORNELL}"), &["line 1", "\"b\"", "\"front\", \"corner\""]);
+    check_refused(
+        &format!("default_camera = \"b\"\n{CORNELL}"),
+        &["line 1", "\"b\"", "\"front\", \"corner\""],
+    );
 
     let light = |rest: &str| table(&format!("[[light]]\nintensity = 1.0\n{rest}"));
     check_refused(&light("kind = \"point\""), &["[[light]]", "position is missing"]);
