@@ -118,6 +118,78 @@ fn a_frame_without_workers_waits_for_one_if_one_may_come() {
 }
 
 #[test]
+fn a_frame_without_workers_waits_for_one_that_is_taking_the_pack() {
+    let patience = Duration::from_secs(20);
+    let mut world = World::with_workers(1, 1);
+    world.coordinator = std::mem::take(&mut world.coordinator).with_patience(patience);
+    // More than twice the patience, less than a pack may take.
+    world.pack_time = Duration::from_secs(50);
+    let job = FrameJob { width: 64, height: 64, tile: 8, ..world.random_job() };
+    let at = world.now + Duration::from_micros(500);
+    world.expected_lost.insert(WorkerId(0));
+    world.schedule(at, Happening::Die(WorkerId(0)));
+    world.schedule(at, Happening::Missed(WorkerId(0)));
+    world.schedule(at, Happening::Join);
+    let outcome = world.render(&job).expect("it comes in the end");
+    check_frame(1, &job, &outcome);
+    // One that never takes it does not make the frame wait for ever.
+    world.pack_time = Duration::MAX / 4;
+    world.expected_lost.insert(WorkerId(1));
+    let at = world.now + Duration::from_micros(500);
+    world.schedule(at, Happening::Die(WorkerId(1)));
+    world.schedule(at, Happening::Missed(WorkerId(1)));
+    world.schedule(at, Happening::Join);
+    world.expected_lost.insert(WorkerId(2));
+    let failed = world.render(&job).expect_err("nobody is left");
+    assert!(matches!(failed, FrameStatus::Failed { .. }), "{failed:?}");
+    assert!(world.now > limits::pack_timeout(PACK_BYTES) && world.now < Duration::from_secs(200));
+}
+
+#[test]
+fn a_straggler_does_not_hold_the_loading_where_workers_may_join_later() {
+    for patience in [Duration::ZERO, Duration::from_secs(60)] {
+        let mut world = World::with_workers(1, 3);
+        world.coordinator = std::mem::take(&mut world.coordinator).with_patience(patience);
+        world.workers[2].is_alive = false;
+        world.expected_lost.insert(WorkerId(2));
+        let begun = world.now;
+        world.coordinator.load(PACKS[1], PACK_BYTES, begun);
+        world.run_until(|c| !c.is_loading());
+        assert_eq!(world.coordinator.holders().count(), 2);
+        let expected =
+            if patience.is_zero() { limits::pack_timeout(PACK_BYTES) } else { Duration::from_secs(1) };
+        assert_eq!(world.now - begun, expected);
+        let job = FrameJob { width: 64, height: 64, tile: 8, ..world.random_job() };
+        let outcome = world.render(&job).expect("two workers are enough");
+        check_frame(1, &job, &outcome);
+    }
+}
+
+#[test]
+fn short_frames_do_not_hide_a_worker_that_is_dead() {
+    for balance in [Balance::PaperDynamic, Balance::Dynamic] {
+        let mut world = World::with_workers(1, 3);
+        let job = FrameJob { width: 64, height: 64, tile: 8, balance, ..world.random_job() };
+        world.workers[1].stalled_until = Duration::MAX;
+        world.expected_lost.insert(WorkerId(1));
+        let begun = world.now;
+        let mut frames = 0;
+        while world.lost.is_empty() {
+            let outcome = world.render(&job).expect("two workers are enough");
+            check_frame(frames, &job, &outcome);
+            frames += 1;
+            // Time between frames is nobody's fault.
+            world.pass(Duration::from_secs(100));
+            assert!(frames < 200, "{balance}: it is still there");
+        }
+        let silent = world.now - begun - Duration::from_secs(100) * frames as u32;
+        // As in one long frame, but for the time of the last.
+        assert!((60..63).contains(&silent.as_secs()), "{balance}: {silent:?} in {frames} frames");
+        assert!(frames > 50 && world.reasons[0].contains("stalled"), "{balance}: {frames} frames");
+    }
+}
+
+#[test]
 fn a_frame_without_workers_fails_and_says_how_far_it_got() {
     for seed in 0..300 {
         let mut world = World::new(seed, false);
@@ -236,6 +308,8 @@ struct World {
     scheduled: u64,
     now: Duration,
     random: u64,
+    /// How much longer than a message a pack takes.
+    pack_time: Duration,
     /// Whether workers die and messages are repeated.
     is_rough: bool,
     expected_lost: BTreeSet<WorkerId>,
@@ -306,6 +380,7 @@ impl World {
             scheduled: 0,
             now: Duration::ZERO,
             random: seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) + 1,
+            pack_time: Duration::ZERO,
             is_rough: false,
             expected_lost: BTreeSet::new(),
             lost: Vec::new(),
@@ -392,7 +467,7 @@ impl World {
         self.run_until(|c| c.status() != FrameStatus::Pending);
         match self.coordinator.status() {
             FrameStatus::Done => {
-                let outcome = self.coordinator.finish().expect("done");
+                let outcome = self.coordinator.finish(self.now).expect("done");
                 self.took_part_late += outcome.workers.len() as u32 - self.began_with;
                 self.carry_out();
                 assert_eq!(outcome.image.format(), job.format);
@@ -421,6 +496,18 @@ impl World {
             }
             self.carry_out();
         }
+    }
+
+    /// Lets so much time pass.
+    fn pass(&mut self, time: Duration) {
+        let end = self.now + time;
+        while let Some(next) = self.under_way.first_entry().filter(|next| next.key().0 <= end) {
+            let ((at, _), happening) = next.remove_entry();
+            self.now = at;
+            self.happen(happening);
+            self.carry_out();
+        }
+        self.now = end;
     }
 
     fn happen(&mut self, happening: Happening) {
@@ -516,12 +603,14 @@ impl World {
                 self.schedule(at, Happening::ToWorker(worker, message));
             }
             Output::SendPack(worker, pack) => {
-                let at = self.arrival(worker, 0);
+                let at = self.arrival(worker, 0) + self.pack_time;
                 self.schedule(at, Happening::PackArrives(worker, pack));
             }
             Output::Event(Event::Lost(worker, reason)) => {
-                let name = self.expected_lost.contains(&worker);
-                assert!(name, "{worker} is lost without a disaster: {reason}");
+                assert!(
+                    self.expected_lost.contains(&worker),
+                    "{worker} is lost without a disaster: {reason}"
+                );
                 self.lost.push(worker);
                 self.reasons.push(reason);
                 if self.is_rough && self.below(2) == 0 {

@@ -206,13 +206,14 @@ impl Cluster {
 
     /// Ends the frame whose rendering was dropped, if there is one.
     pub fn give_up(&mut self, mut progress: impl FnMut(Progress<'_>)) {
-        self.coordinator.finish();
+        self.coordinator.finish(self.now());
         for event in self.carry_out() {
             self.report(event, &mut progress);
         }
     }
 
-    /// Gives `pack` to every worker and returns when each has answered and at least one holds it, checked; later frames render it.
+    /// Gives `pack` to every worker and returns when each has answered and at least one holds it, checked; later frames render it. Where
+    /// workers join at any time it does not wait for stragglers once one holds it (see [`Coordinator::is_loading`]).
     ///
     /// A worker that rejects it stays in the cluster without a part in those frames; each rejection is told to `progress`. Workers that
     /// join later are given it then.
@@ -272,11 +273,11 @@ impl Cluster {
             match self.coordinator.status() {
                 FrameStatus::Pending => self.wait().await,
                 FrameStatus::Failed { done, total } => {
-                    self.coordinator.finish();
+                    self.coordinator.finish(self.now());
                     return Err(RenderError::AllLost { done, total, last: self.last_lost.clone() });
                 }
                 FrameStatus::Done => {
-                    if let Some(outcome) = self.coordinator.finish() {
+                    if let Some(outcome) = self.coordinator.finish(self.now()) {
                         self.carry_out();
                         return Ok(self.result(pack, outcome));
                     }

@@ -101,13 +101,26 @@ pub struct Coordinator {
     sessions: BTreeMap<WorkerId, Session>,
     /// Of the next connection.
     next: u32,
-    /// On offer to all, and its bytes.
-    pack: Option<(PackId, u64)>,
+    /// On offer to all.
+    pack: Option<Offer>,
     frame: Option<Active>,
+    /// What frames before have used up of the time that workers may be silent (see [`Dispatch::worn`]).
+    worn: BTreeMap<WorkerId, f64>,
     frames_begun: u64,
     /// How long a frame waits for a worker when it has none.
     patience: Duration,
     outputs: VecDeque<Output>,
+}
+
+/// A pack that every worker is asked to take.
+#[derive(Clone, Copy, Debug)]
+struct Offer {
+    pack: PackId,
+    length: u64,
+    begun: Duration,
+    /// Until when those that have not answered are waited for, where one holds it and others may take part later.
+    until: Option<Duration>,
+    is_settled: bool,
 }
 
 #[derive(Debug)]
@@ -148,7 +161,8 @@ impl Coordinator {
     /// When [`Coordinator::tick`] has to be called at the latest.
     pub fn deadline(&self) -> Option<Duration> {
         let frame = self.frame.iter().filter_map(Active::deadline);
-        self.sessions.values().filter_map(Session::deadline).chain(frame).min()
+        let load = self.pack.filter(|_| self.is_loading()).and_then(|offer| offer.until);
+        self.sessions.values().filter_map(Session::deadline).chain(frame).chain(load).min()
     }
 
     /// The arithmetic of the cluster, once settled.
@@ -169,7 +183,7 @@ impl Coordinator {
     /// Workers that hold the pack on offer.
     pub fn holders(&self) -> impl Iterator<Item = WorkerId> {
         let pack = self.pack;
-        let holds = move |session: &Session| pack.is_some_and(|(p, _)| session.holds(p));
+        let holds = move |session: &Session| pack.is_some_and(|offer| session.holds(offer.pack));
         self.sessions.iter().filter(move |(_, session)| holds(session)).map(|(&worker, _)| worker)
     }
 
@@ -178,8 +192,15 @@ impl Coordinator {
         self.sessions.values().any(|session| session.awaits(pack))
     }
 
-    /// Whether a worker has not yet said if it takes the pack on offer.
+    /// Whether workers that have not yet said if they take the pack on offer are waited for.
+    ///
+    /// Where workers join at any time, one that holds it is enough: the others have twice the time that the first took, and take part
+    /// once they hold it.
     pub fn is_loading(&self) -> bool {
+        self.pack.is_some_and(|offer| !offer.is_settled) && self.is_awaited()
+    }
+
+    fn is_awaited(&self) -> bool {
         self.sessions.values().any(Session::awaits_pack)
     }
 
@@ -249,8 +270,16 @@ impl Coordinator {
         for worker in self.ids() {
             self.with_session(worker, now, |session| session.tick(now));
         }
+        if let Some(offer) = &mut self.pack {
+            offer.is_settled |= offer.until.is_some_and(|until| until <= now);
+        }
+        let is_awaited = self.is_awaited();
         let Some(active) = &mut self.frame else { return };
-        active.given_up |= active.alone.is_some_and(|until| until <= now);
+        if active.alone.is_some_and(|until| until <= now) && !active.given_up {
+            // A worker that takes the pack, or says that it does not, has a deadline of its own.
+            active.given_up = !is_awaited;
+            active.alone = Some(now + self.patience);
+        }
         let owing = active.due().filter(|&(_, due)| due <= now).map(|(worker, _)| worker);
         let owing: Vec<_> = owing.collect();
         let stalled: Vec<_> = active.dispatch.stalled(now).collect();
@@ -268,7 +297,7 @@ impl Coordinator {
 
     /// Offers a pack of `length` bytes to every worker, also to those that join later; later frames are of it.
     pub fn load(&mut self, pack: PackId, length: u64, now: Duration) {
-        self.pack = Some((pack, length));
+        self.pack = Some(Offer { pack, length, begun: now, until: None, is_settled: false });
         for worker in self.ids() {
             self.with_session(worker, now, |session| session.offer(pack, length, now));
         }
@@ -281,7 +310,7 @@ impl Coordinator {
     /// unless a worker comes in time.
     pub fn begin(&mut self, job: &FrameJob, now: Duration) -> Result<FrameId, BeginError> {
         let id = FrameId(self.frames_begun + 1);
-        let frame = job.to_wire(id, self.pack.map_or(PackId([0; 32]), |(pack, _)| pack));
+        let frame = job.to_wire(id, self.pack.map_or(PackId([0; 32]), |offer| offer.pack));
         let grid = frame.check()?;
         let image = FrameBuffer::new(job.width, job.height, job.format)?;
         self.frames_begun += 1;
@@ -291,7 +320,10 @@ impl Coordinator {
         let reports =
             self.joined().filter(|w| workers.contains(w) || self.rejection(*w).is_some()).map(report);
         let reports = reports.collect();
-        let (dispatch, assignments) = Dispatch::start(&grid, job.balance, job.samples, &workers, now);
+        let (mut dispatch, assignments) = Dispatch::start(&grid, job.balance, job.samples, &workers, now);
+        for (&worker, &worn) in &self.worn {
+            dispatch.wear(worker, worn);
+        }
         self.frame = Some(Active {
             frame,
             grid,
@@ -326,8 +358,9 @@ impl Coordinator {
     }
 
     /// Ends the current frame, complete or not; the outcome if it is complete.
-    pub fn finish(&mut self) -> Option<Outcome> {
+    pub fn finish(&mut self, now: Duration) -> Option<Outcome> {
         let active = self.frame.take()?;
+        self.worn.extend(active.dispatch.worn(now));
         let frame = active.frame.frame;
         for &(worker, ref report) in &active.reports {
             if self.name(worker).is_some() && report.rejected.is_none() {
@@ -356,8 +389,17 @@ impl Coordinator {
         }
     }
 
+    /// `worker` lives: what it says may be of an earlier frame.
+    fn heard(&mut self, worker: WorkerId) {
+        self.worn.remove(&worker);
+        if let Some(active) = &mut self.frame {
+            active.dispatch.wear(worker, 0.0);
+        }
+    }
+
     /// A message about a frame that is not the current one: old ones are late, others never were.
     fn out_of_frame(&mut self, worker: WorkerId, frame: FrameId, now: Duration) {
+        self.heard(worker);
         if frame.0 == 0 || frame.0 > self.frames_begun {
             self.abort(worker, AbortCode::BadTiles, format!("there is no frame {}", frame.0), now);
         } else if let Some(active) = &mut self.frame {
@@ -382,13 +424,13 @@ impl Coordinator {
                         self.numeric_class.get_or_insert_with(|| abilities.numeric_class.clone());
                     }
                     self.outputs.push_back(Output::Event(Event::Joined(worker)));
-                    if let (Some((pack, length)), Some(session)) = (self.pack, self.sessions.get_mut(&worker))
-                    {
-                        let steps = session.offer(pack, length, now);
+                    if let (Some(offer), Some(session)) = (self.pack, self.sessions.get_mut(&worker)) {
+                        let steps = session.offer(offer.pack, offer.length, now);
                         self.take(worker, steps, now);
                     }
                 }
                 Step::PackHeld => {
+                    self.wait_no_longer(now);
                     self.outputs.push_back(Output::Event(Event::PackHeld(worker)));
                     self.join_frame(worker, now);
                 }
@@ -403,6 +445,7 @@ impl Coordinator {
                 }
                 Step::Over { code, reason } => {
                     self.sessions.remove(&worker);
+                    self.worn.remove(&worker);
                     self.outputs.push_back(Output::Close(worker, code));
                     self.over(worker, reason, now);
                 }
@@ -413,6 +456,7 @@ impl Coordinator {
     fn rendered(&mut self, worker: WorkerId, frame: FrameId, tiles: u32, now: Duration) {
         let current = self.frame.as_mut().filter(|active| active.frame.frame == frame);
         let Some(active) = current else {
+            self.heard(worker);
             if frame.0 == 0 || frame.0 > self.frames_begun {
                 self.abort(worker, AbortCode::Unexpected, format!("there is no frame {}", frame.0), now);
             }
@@ -428,6 +472,16 @@ impl Coordinator {
         }
     }
 
+    /// Settles until when the others are waited for, once one holds the pack.
+    fn wait_no_longer(&mut self, now: Duration) {
+        /// The others have this at least: one that finds the pack on its disk first does not leave behind those that are sent it.
+        const LEAST: Duration = Duration::from_secs(1);
+        if let Some(offer) = self.pack.as_mut().filter(|_| !self.patience.is_zero()) {
+            let took = now.saturating_sub(offer.begun);
+            offer.until.get_or_insert(offer.begun + LEAST.max(2 * took));
+        }
+    }
+
     /// A worker that has just taken the pack takes part in the frame of it that is under way.
     fn join_frame(&mut self, worker: WorkerId, now: Duration) {
         let name = self.name(worker).unwrap_or("?").to_string();
@@ -440,6 +494,7 @@ impl Coordinator {
         active.alone = None;
         self.outputs.push_back(Output::Send(worker, ToWorker::Frame(active.frame)));
         let assignments = active.dispatch.join(worker, now);
+        active.dispatch.wear(worker, self.worn.get(&worker).copied().unwrap_or(0.0));
         self.assign(assignments);
     }
 
@@ -579,5 +634,6 @@ mod tests {
             assert_eq!(told.count(), 1, "{number}");
         }
         assert_eq!((coordinator.sessions.len(), coordinator.deadline()), (0, None));
+        assert_eq!(coordinator.worn.len(), 0);
     }
 }

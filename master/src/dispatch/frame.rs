@@ -50,6 +50,8 @@ struct Hand {
     alone_with: Vec<TileId>,
     /// When it last made progress, or was given work while it had none.
     since: Duration,
+    /// What frames before have used up of the time that it may be silent: 0 none, 1 all of it.
+    worn: f64,
     /// Whether it takes no more.
     leaving: bool,
 }
@@ -124,6 +126,22 @@ impl Dispatch {
         self.hand_out(now)
     }
 
+    /// `worker` has used up this part of the time that it may be silent (see [`Dispatch::worn`]).
+    pub fn wear(&mut self, worker: WorkerId, worn: f64) {
+        if let Some(hand) = self.crew.get_mut(&worker) {
+            hand.worn = worn;
+        }
+    }
+
+    /// What each living worker has used up of the time that it may be silent, 0 for those that were heard and owe nothing. It goes on
+    /// counting in the next frame: many short frames end before a worker that is dead is taken for it in one.
+    pub fn worn(&self, now: Duration) -> impl Iterator<Item = (WorkerId, f64)> {
+        self.crew.iter().map(move |(&worker, hand)| {
+            let silent = if hand.queued > 0 { now.saturating_sub(hand.since) } else { Duration::ZERO };
+            (worker, hand.worn + silent.div_duration_f64(self.pace.stalled_after(hand.queued)))
+        })
+    }
+
     /// `worker` has rendered `tiles` more tiles; what it gets next.
     pub fn rendered(
         &mut self,
@@ -136,6 +154,7 @@ impl Dispatch {
         hand.queued = hand.queued.checked_sub(tiles).filter(|_| tiles > 0).ok_or(wrong)?;
         self.pace.note(tiles, now.saturating_sub(hand.since));
         hand.since = now;
+        hand.worn = 0.0;
         Ok(self.hand_out(now))
     }
 
@@ -152,6 +171,9 @@ impl Dispatch {
         else {
             return Err(Violation::NotAssigned { tile: tile.0, attempt: attempt.0 });
         };
+        if let Some(hand) = self.crew.get_mut(&worker) {
+            hand.worn = 0.0;
+        }
         if state.done {
             self.dropped += 1;
             return Ok(false);
@@ -316,7 +338,10 @@ impl Dispatch {
     /// Workers that have tiles to render, and when each must be taken for dead.
     fn stalls(&self) -> impl Iterator<Item = (WorkerId, Duration)> {
         let busy = self.crew.iter().filter(|(_, hand)| hand.queued > 0);
-        busy.map(|(&worker, hand)| (worker, hand.since + self.pace.stalled_after(hand.queued)))
+        busy.map(|(&worker, hand)| {
+            let after = self.pace.stalled_after(hand.queued);
+            (worker, hand.since + after.saturating_sub(after.mul_f64(hand.worn)))
+        })
     }
 
     /// Notes that a tile is handed out.
