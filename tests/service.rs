@@ -18,7 +18,7 @@ use tessera_wire::{
 };
 use tessera_worker::{Closer, Connected, NUMERIC_CLASS, Stop, WorkerError, WorkerPipes, connect};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::sync::{oneshot, watch};
+use tokio::sync::{Notify, oneshot, watch};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
@@ -201,7 +201,9 @@ async fn a_master_that_is_stopped_or_dies_is_named() {
         if is_stopped {
             assert!(matches!(error, ClientError::Failed(FrameFailure::Stopping)), "{error:?}");
         } else {
-            assert!(matches!(error, ClientError::Lost(_) | ClientError::Failed(_)), "{error:?}");
+            // The cluster goes, and with it the frame; or the connection does first.
+            let is_told = matches!(&error, ClientError::Failed(FrameFailure::Stopping));
+            assert!(is_told || matches!(error, ClientError::Lost(_)), "{error:?}");
         }
         assert_eq!(error.to_string().lines().count(), 1);
     }
@@ -228,8 +230,10 @@ async fn a_frame_waits_for_the_first_worker() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn packs_and_frames_that_cannot_be_are_refused_and_do_no_harm() {
-    let (small, large) = (pack(), strip(30_000));
-    let room = small.bytes().len() as u64 + 1000;
+    let (small, large) = (pack(), strip(60_000));
+    let good = job(&small, Balance::Dynamic);
+    let image = u64::from(good.width) * u64::from(good.height) * good.format.bytes_per_pixel() as u64;
+    let room = small.bytes().len() as u64 + image;
     let master = master(room);
     let _worker = master.worker("a");
     let (mut client, _closer) = master.client().await;
@@ -238,13 +242,19 @@ async fn packs_and_frames_that_cannot_be_are_refused_and_do_no_harm() {
     let expected = PackRefusal::OutOfMemory { needs, has: room };
     assert!(matches!(&refused, Err(ClientError::Rejected(r)) if *r == expected), "{refused:?}");
     client.load(&small, |_| ()).await.expect("there is room");
-    let good = job(&small, Balance::Dynamic);
     let wild = FrameJob { samples: 0, ..good.clone() };
     assert!(matches!(
         client.render(&wild, |_| ()).await,
         Err(ClientError::Failed(FrameFailure::Invalid { .. }))
     ));
-    client.render(&good, |_| ()).await.expect("a refused frame does no harm");
+    let huge = FrameJob { height: good.height + 1, ..good.clone() };
+    match client.render(&huge, |_| ()).await {
+        Err(ClientError::Failed(FrameFailure::Invalid { detail })) => {
+            assert!(detail.contains(&format!("the master has {image} left")), "{detail}");
+        }
+        other => panic!("{other:?}"),
+    }
+    client.render(&good, |_| ()).await.expect("refused frames do no harm");
 
     // Bytes that are no pack, and a pack under another's name.
     let mut raw = Raw::join(&master.join).await;
@@ -332,19 +342,42 @@ async fn a_client_that_breaks_the_rules_is_cut_off_with_a_reason() {
 async fn a_master_takes_so_many_clients_and_no_more() {
     let master = master(1 << 20);
     let mut clients = Vec::new();
-    // As many as are served, and as many as wait behind them.
-    let full = loop {
-        let (pipes, closer) = pipes(&master.join).await;
-        match timeout(Duration::from_millis(500), Client::join(pipes, master.join.token, "c".into())).await {
-            Ok(Ok(client)) => clients.push((Some(client), closer)),
-            Err(_) => clients.push((None, closer)),
-            Ok(Err(error)) => break error,
-        }
-        assert!(clients.len() <= 2 * limits::CLIENTS);
-    };
+    for _ in 0..limits::CLIENTS {
+        clients.push(master.client().await);
+    }
     let limit = limits::CLIENTS as u32;
-    assert!(matches!(full, ClientError::Refused(Refusal::Full { limit: l }) if l == limit), "{full:?}");
-    assert_eq!(clients.iter().filter(|(client, _)| client.is_some()).count(), limits::CLIENTS);
+    for _ in 0..3 {
+        let (pipes, _closer) = pipes(&master.join).await;
+        let full = Client::join(pipes, master.join.token, "c".into()).await.err().expect("no seat is free");
+        assert!(matches!(full, ClientError::Refused(Refusal::Full { limit: l }) if l == limit), "{full:?}");
+    }
+    master.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_pack_that_a_client_holds_is_not_forgotten_to_make_room_for_another() {
+    let (one, other) = (strip(3000), strip(3001));
+    let length = one.bytes().len() as u64;
+    // For one and a half.
+    let room = length + length / 2;
+    let master = master(room);
+    let (mut first, first_closer) = master.client().await;
+    first.load(&one, |_| ()).await.expect("there is room");
+    let (mut second, _closer) = master.client().await;
+    let needs = other.bytes().len() as u64;
+    let expected = PackRefusal::OutOfMemory { needs, has: room - length };
+    let refused = second.load(&other, |_| ()).await;
+    assert!(matches!(&refused, Err(ClientError::Rejected(r)) if *r == expected), "{refused:?}");
+    drop(first);
+    first_closer.close(false).await;
+    let load = async {
+        // The master learns soon that it has gone.
+        while let Err(error) = second.load(&other, |_| ()).await {
+            assert!(matches!(error, ClientError::Rejected(_)), "{error:?}");
+        }
+    };
+    timeout(PATIENCE, load).await.expect("its room is free");
+    second.load(&one, |_| ()).await.expect("what one client has offered before goes for what it offers now");
     master.end().await;
 }
 
@@ -357,22 +390,27 @@ async fn a_flood_of_bad_joins_does_not_disturb_a_frame() {
     client.load(&pack, |_| ()).await.expect("there is room");
     let job = FrameJob { width: 600, height: 600, tile: 32, samples: 4, ..job(&pack, Balance::Dynamic) };
     let (over, refused) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicUsize::new(0)));
+    let one_more = Arc::new(Notify::new());
     let flood = |bad: JoinString| {
-        let (over, refused) = (over.clone(), refused.clone());
+        let (over, refused, one_more) = (over.clone(), refused.clone(), one_more.clone());
         tokio::spawn(async move {
             while !over.load(Ordering::Relaxed) {
                 let own = Identity::new().expect("random numbers");
                 let result = serve(&bad, &own, "x").await;
                 assert!(matches!(result, Err(WorkerError::Refused(_) | WorkerError::Join(_))), "{result:?}");
                 refused.fetch_add(1, Ordering::Relaxed);
+                one_more.notify_one();
             }
         })
     };
     let guessed = JoinString { token: Token([1; 16]), ..master.join.clone() };
     let floods: Vec<_> = (0..20).map(|_| flood(guessed.clone())).collect();
-    while refused.load(Ordering::Relaxed) < 20 {
-        tokio::task::yield_now().await;
-    }
+    let flooded = async {
+        while refused.load(Ordering::Relaxed) < 20 {
+            one_more.notified().await;
+        }
+    };
+    timeout(PATIENCE, flooded).await.expect("each is answered");
     let before = refused.load(Ordering::Relaxed);
     let result = timeout(PATIENCE, client.render(&job, |_| ())).await.expect("in time").expect("a frame");
     let during = refused.load(Ordering::Relaxed) - before;

@@ -2,8 +2,8 @@
 
 use crate::{
     FrameJob, FrameResult, WorkerReport,
-    door::Guest,
-    packs::PackStore,
+    door::{Guest, turn_away},
+    packs::{Kept, PackStore, Room},
     transport::{PipeError, Pipes, read_message, write_message},
 };
 use std::{
@@ -17,11 +17,14 @@ use std::{
 use tessera_pack::{Pack, PackBuffer, PackError};
 use tessera_wire::{
     AbortCode, Balance, Frame, FrameFailure, FrameSummary, FromClient, Hello, PackChunk, PackId,
-    PackProgress, PackRefusal, ToClient, Version, WorkerSummary, limits, plain_text,
+    PackProgress, PackRefusal, Refusal, ToClient, Version, WorkerSummary, limits, plain_text,
 };
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
-    sync::{mpsc, oneshot, watch},
+    sync::{
+        mpsc::{self, error::TrySendError},
+        oneshot, watch,
+    },
     task::{JoinSet, spawn_blocking},
     time::timeout,
 };
@@ -40,7 +43,9 @@ pub(crate) struct Reception {
 pub(crate) struct Job {
     /// The client's name.
     pub(crate) name: String,
-    pub(crate) pack: Pack,
+    pub(crate) pack: Arc<Kept>,
+    /// Its image's.
+    pub(crate) _room: Arc<Room>,
     pub(crate) job: FrameJob,
     /// Progress; what finds no room is dropped.
     pub(crate) tell: mpsc::Sender<ToClient>,
@@ -48,22 +53,30 @@ pub(crate) struct Job {
     pub(crate) done: oneshot::Sender<Result<FrameResult, FrameFailure>>,
 }
 
-/// Takes clients in until the master is told to end, and then waits for those that are being told.
+/// Takes clients in, as many as there are seats, until the master is told to end, and then waits for those that are being told.
 pub(crate) async fn receive(mut guests: mpsc::Receiver<Guest>, reception: Reception) {
     let reception = Arc::new(reception);
     let mut stopping = reception.stopping.clone();
-    let mut clients = JoinSet::new();
+    let (mut clients, mut others) = (JoinSet::new(), JoinSet::new());
     loop {
         tokio::select! {
+            // Seats that are free again come before those who want one.
+            biased;
             _ = stopping.wait_for(|stopping| *stopping) => break,
             Some(_) = clients.join_next() => {}
-            guest = guests.recv(), if clients.len() < limits::CLIENTS => match guest {
-                Some(guest) => drop(clients.spawn(attend(guest, reception.clone()))),
+            Some(_) = others.join_next() => {}
+            guest = guests.recv() => match guest {
+                Some(guest) if clients.len() < limits::CLIENTS => {
+                    clients.spawn(attend(guest, reception.clone()));
+                }
+                Some(guest) => {
+                    others.spawn(turn_away(guest, Refusal::Full { limit: limits::CLIENTS as u32 }));
+                }
                 None => break,
             },
         }
     }
-    while clients.join_next().await.is_some() {}
+    while clients.join_next().await.is_some() || others.join_next().await.is_some() {}
 }
 
 /// Serves a client to its end.
@@ -81,7 +94,10 @@ async fn attend(guest: Guest, reception: Arc<Reception>) {
         }
         Err(Cut { code, detail }) => {
             tracing::info!("client {name} was cut off: {code}: {}", plain_text(&detail));
-            let _ = visit.write(ToClient::Abort { code, detail }).await;
+            // One that has gone, or says that it goes, need not be told.
+            if code != AbortCode::Done {
+                let _ = visit.write(ToClient::Abort { code, detail }).await;
+            }
             code
         }
     };
@@ -109,6 +125,11 @@ impl From<PipeError> for Cut {
             PipeError::Malformed(detail) => Self { code: AbortCode::Malformed, detail },
         }
     }
+}
+
+/// The client's own words, to be left with.
+fn says(code: AbortCode, detail: &str) -> Cut {
+    Cut { code: AbortCode::Done, detail: format!("it says: {code}: {detail}") }
 }
 
 fn unexpected(what: &str) -> Cut {
@@ -150,24 +171,23 @@ impl Visit {
         let version = Version::common(&hello.versions).map_or(0, Version::number);
         self.write(ToClient::Welcome { version }).await?;
         let mut stopping = reception.stopping.clone();
-        let mut held = None;
+        let mut held: Option<Arc<Kept>> = None;
         loop {
             let message = tokio::select! {
-                message = self.messages.recv() => message,
+                message = within(limits::CLIENT_IDLE, "it has asked for nothing", self.messages.recv()) => message?,
                 _ = stopping.wait_for(|stopping| *stopping) => return Ok(()),
             };
             match message.transpose()? {
                 None => return Ok(()),
                 Some(FromClient::PackOffer { pack, length }) => {
+                    // It is not asked for any more, and need not stay for the next.
+                    drop(held.take());
                     held = self.take_pack(pack, length, &reception.packs).await?;
                 }
                 Some(FromClient::Render { frame, balance }) => {
-                    self.render(&frame, balance, held.as_ref(), reception).await?;
+                    self.render(&frame, balance, held.clone(), reception).await?;
                 }
-                Some(FromClient::Abort { code, detail }) => {
-                    let detail = format!("it says: {code}: {detail}");
-                    return Err(Cut { code: AbortCode::Done, detail });
-                }
+                Some(FromClient::Abort { code, detail }) => return Err(says(code, &detail)),
                 Some(FromClient::Hello(_)) => return Err(unexpected("a second `Hello`")),
             }
         }
@@ -184,11 +204,11 @@ impl Visit {
         id: PackId,
         length: u64,
         packs: &Arc<PackStore>,
-    ) -> Result<Option<Pack>, Cut> {
-        if let Some(pack) = packs.get(id) {
+    ) -> Result<Option<Arc<Kept>>, Cut> {
+        if let Some(kept) = packs.get(id) {
             self.write(ToClient::PackNeed { pack: id, have: true }).await?;
             self.write(ToClient::PackReady { pack: id }).await?;
-            return Ok(Some(pack));
+            return Ok(Some(kept));
         }
         let rejected = |reason| ToClient::PackRejected { pack: id, reason };
         let room = match packs.make_room(length) {
@@ -202,18 +222,23 @@ impl Visit {
             return self.write(rejected(reason)).await.map(|()| None);
         };
         self.write(ToClient::PackNeed { pack: id, have: false }).await?;
-        let mut progress = PackProgress::new(id, length);
-        while !progress.is_complete() {
-            let bulk = &mut self.pipes.bulk_in;
-            let chunk = in_time(read_message::<PackChunk>(bulk, limits::CHUNK_HEADER_BYTES)).await?;
-            let (chunk, _) =
-                chunk.ok_or_else(|| unexpected("the end of the bulk pipe in the middle of a pack"))?;
-            let malformed = |e: PackRefusal| Cut { code: AbortCode::Malformed, detail: e.to_string() };
-            let range = progress.accept(&chunk).map_err(malformed)?;
-            // Within `length`, which is a `usize`.
-            let room = &mut buffer.as_mut_slice()[range.start as usize..range.end as usize];
-            in_time(async { Ok(bulk.read_exact(room).await?) }).await?;
-        }
+        let bulk = &mut self.pipes.bulk_in;
+        let transfer = async {
+            let mut progress = PackProgress::new(id, length);
+            while !progress.is_complete() {
+                let chunk = in_time(read_message::<PackChunk>(bulk, limits::CHUNK_HEADER_BYTES)).await?;
+                let (chunk, _) =
+                    chunk.ok_or_else(|| unexpected("the end of the bulk pipe in the middle of a pack"))?;
+                let malformed = |e: PackRefusal| Cut { code: AbortCode::Malformed, detail: e.to_string() };
+                let range = progress.accept(&chunk).map_err(malformed)?;
+                // Within `length`, which is a `usize`.
+                let room = &mut buffer.as_mut_slice()[range.start as usize..range.end as usize];
+                in_time(async { Ok(bulk.read_exact(room).await?) }).await?;
+            }
+            Ok::<_, Cut>(())
+        };
+        // It has the room of others: a byte a minute is not enough.
+        within(limits::pack_timeout(length), "its pack was on its way", transfer).await??;
         let checked = spawn_blocking(move || Pack::from_buffer(buffer)).await;
         let checked = match checked {
             Ok(Ok(pack)) if pack.id().0 == id.0 => Ok(pack),
@@ -224,9 +249,9 @@ impl Visit {
         };
         match checked {
             Ok(pack) => {
-                packs.keep(room, pack.clone());
+                let kept = packs.keep(room, pack);
                 self.write(ToClient::PackReady { pack: id }).await?;
-                Ok(Some(pack))
+                Ok(Some(kept))
             }
             Err(reason) => self.write(rejected(reason)).await.map(|()| None),
         }
@@ -237,26 +262,39 @@ impl Visit {
         &mut self,
         frame: &Frame,
         balance: Balance,
-        held: Option<&Pack>,
+        held: Option<Arc<Kept>>,
         reception: &Reception,
     ) -> Result<(), Cut> {
         let id = frame.frame;
         let failed = |reason| ToClient::Failed { frame: id, reason };
         let invalid = |detail: String| failed(FrameFailure::Invalid { detail });
-        let Some(pack) = held.filter(|pack| pack.id().0 == frame.pack.0) else {
+        let Some(pack) = held.filter(|kept| kept.pack.id().0 == frame.pack.0) else {
             return self.write(invalid("its pack was not offered before".into())).await;
         };
         if let Err(e) = frame.check() {
             return self.write(invalid(e.to_string())).await;
         }
+        // Until the client has it.
+        let room = match reception.packs.make_room(image_bytes(frame)) {
+            Ok(room) => Arc::new(room),
+            Err(PackRefusal::OutOfMemory { needs, has }) => {
+                let detail = format!("its image takes {needs} bytes, the master has {has} left for clients");
+                return self.write(invalid(detail)).await;
+            }
+            Err(other) => return self.write(invalid(other.to_string())).await,
+        };
         let (done, mut outcome) = oneshot::channel();
         let (tell, mut news) = mpsc::channel(16);
         let job = FrameJob::from_wire(frame, balance);
-        let job = Job { name: self.name.clone(), pack: pack.clone(), job, tell, done };
+        let job = Job { name: self.name.clone(), pack, _room: room.clone(), job, tell, done };
         let ahead = reception.frames.fetch_add(1, Ordering::Relaxed);
-        if reception.jobs.try_send(job).is_err() {
+        if let Err(e) = reception.jobs.try_send(job) {
             reception.frames.fetch_sub(1, Ordering::Relaxed);
-            return self.write(failed(FrameFailure::Busy { waiting: ahead })).await;
+            let reason = match e {
+                TrySendError::Full(_) => FrameFailure::Busy { waiting: ahead },
+                TrySendError::Closed(_) => FrameFailure::Stopping,
+            };
+            return self.write(failed(reason)).await;
         }
         if ahead > 0 {
             self.write(ToClient::Waiting { ahead }).await?;
@@ -267,9 +305,7 @@ impl Visit {
                 Some(message) = news.recv() => self.write(message).await?,
                 message = self.messages.recv() => match message.transpose()? {
                     None => return Err(PipeError::Io(std::io::ErrorKind::UnexpectedEof.into()).into()),
-                    Some(FromClient::Abort { code, detail }) => {
-                        return Err(Cut { code: AbortCode::Done, detail: format!("it says: {code}: {detail}") });
-                    }
+                    Some(FromClient::Abort { code, detail }) => return Err(says(code, &detail)),
                     Some(_) => return Err(unexpected("a message in the middle of a frame")),
                 },
             }
@@ -294,13 +330,18 @@ impl Visit {
 
 /// Waits for a client, but not for ever.
 async fn in_time<T>(work: impl Future<Output = Result<T, PipeError>>) -> Result<T, Cut> {
-    match timeout(limits::CLIENT_TIMEOUT, work).await {
-        Ok(result) => Ok(result?),
-        Err(_) => {
-            let detail = format!("nothing has moved for {} s", limits::CLIENT_TIMEOUT.as_secs());
-            Err(Cut { code: AbortCode::Timeout, detail })
-        }
-    }
+    Ok(within(limits::CLIENT_TIMEOUT, "nothing has moved", work).await??)
+}
+
+/// Waits so long at most; `what` says what did not happen.
+async fn within<T>(limit: Duration, what: &str, work: impl Future<Output = T>) -> Result<T, Cut> {
+    let late = |_| Cut { code: AbortCode::Timeout, detail: format!("{what} for {} s", limit.as_secs()) };
+    timeout(limit, work).await.map_err(late)
+}
+
+/// Of a frame in range.
+fn image_bytes(frame: &Frame) -> u64 {
+    u64::from(frame.width) * u64::from(frame.height) * frame.format.bytes_per_pixel() as u64
 }
 
 fn summary(frame: &Frame, result: &FrameResult) -> FrameSummary {

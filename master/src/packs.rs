@@ -1,4 +1,4 @@
-//! Packs that clients have sent: kept by hash, checked, within a limit.
+//! Memory that clients may fill: packs that they have sent, kept by hash, checked, and what is promised to packs and images.
 
 use std::{
     collections::VecDeque,
@@ -7,8 +7,9 @@ use std::{
 use tessera_pack::Pack;
 use tessera_wire::{PackId, PackRefusal, limits};
 
-/// Packs in memory, and room that is promised to packs on their way. What a frame is rendered from is held by the cluster too, and
-/// may so outlive its place here.
+/// Packs in memory, and room that is promised, within a limit. A pack that a client or its frame holds stays; the others go, the
+/// oldest first, when their room is needed. Only the pack of the last frame, which the cluster holds for workers that join late, may
+/// outlive its place here.
 pub(crate) struct PackStore {
     bytes_max: u64,
     inner: Mutex<Inner>,
@@ -17,11 +18,18 @@ pub(crate) struct PackStore {
 #[derive(Default)]
 struct Inner {
     /// The one that was asked for last is the last.
-    packs: VecDeque<Pack>,
-    promised: u64,
+    packs: VecDeque<Arc<Kept>>,
+    /// By packs, here or still held, and by what is promised; at most `bytes_max`.
+    taken: u64,
 }
 
-/// Room for a pack that is on its way; given back when dropped.
+/// A pack in its room.
+pub(crate) struct Kept {
+    pub(crate) pack: Pack,
+    room: Room,
+}
+
+/// Room for a pack or an image; given back when dropped.
 pub(crate) struct Room {
     store: Arc<PackStore>,
     length: u64,
@@ -34,45 +42,43 @@ impl PackStore {
     }
 
     /// The pack, if it is here.
-    pub(crate) fn get(&self, id: PackId) -> Option<Pack> {
+    pub(crate) fn get(&self, id: PackId) -> Option<Arc<Kept>> {
         let mut inner = self.inner();
-        let at = inner.packs.iter().position(|pack| pack.id().0 == id.0)?;
-        let pack = inner.packs.remove(at)?;
-        inner.packs.push_back(pack.clone());
-        Some(pack)
+        let at = inner.packs.iter().position(|kept| kept.pack.id().0 == id.0)?;
+        let kept = inner.packs.remove(at)?;
+        inner.packs.push_back(kept.clone());
+        Some(kept)
     }
 
-    /// Room for `length` bytes; packs that nobody has asked for lately go for it.
+    /// Room for `length` bytes; packs that nobody holds go for it, if that is enough.
     pub(crate) fn make_room(self: &Arc<Self>, length: u64) -> Result<Room, PackRefusal> {
+        // Let go after `inner`: giving room back asks for it.
+        let mut gone = Vec::new();
         let mut inner = self.inner();
-        let has = self.bytes_max.min(limits::PACK_BYTES).saturating_sub(inner.promised);
+        let idle: u64 = inner.packs.iter().filter(|kept| is_idle(kept)).map(|kept| kept.room.length).sum();
+        let has = (self.bytes_max - inner.taken + idle).min(limits::PACK_BYTES);
         if length > has {
             return Err(PackRefusal::OutOfMemory { needs: length, has });
         }
-        inner.promised += length;
-        self.shrink(&mut inner);
+        while self.bytes_max - inner.taken < length {
+            let Some(at) = inner.packs.iter().position(is_idle) else { break };
+            let Some(mut kept) = inner.packs.remove(at).and_then(Arc::into_inner) else { break };
+            inner.taken -= std::mem::take(&mut kept.room.length);
+            gone.push(kept);
+        }
+        inner.taken += length;
         Ok(Room { store: self.clone(), length })
     }
 
-    /// Puts a pack into its room.
-    pub(crate) fn keep(&self, room: Room, pack: Pack) {
-        // The room is free for a moment; whoever takes it then pushes older packs out.
-        drop(room);
+    /// Puts a pack into its room; the one that is here already, if it came twice.
+    pub(crate) fn keep(&self, room: Room, pack: Pack) -> Arc<Kept> {
+        let new = Arc::new(Kept { pack, room });
         let mut inner = self.inner();
-        if inner.packs.iter().all(|known| known.id() != pack.id()) {
-            inner.packs.push_back(pack);
+        if let Some(known) = inner.packs.iter().find(|known| known.pack.id() == new.pack.id()) {
+            return known.clone();
         }
-        self.shrink(&mut inner);
-    }
-
-    /// Lets the oldest packs go until the rest fits.
-    fn shrink(&self, inner: &mut Inner) {
-        let bytes = |pack: &Pack| pack.bytes().len() as u64;
-        while inner.packs.iter().map(bytes).sum::<u64>() + inner.promised > self.bytes_max {
-            if inner.packs.pop_front().is_none() {
-                return;
-            }
-        }
+        inner.packs.push_back(new.clone());
+        new
     }
 
     fn inner(&self) -> MutexGuard<'_, Inner> {
@@ -80,9 +86,14 @@ impl PackStore {
     }
 }
 
+/// Whether nobody but the store holds it. Under the store's lock it stays so: others get it from there alone.
+fn is_idle(kept: &Arc<Kept>) -> bool {
+    Arc::strong_count(kept) == 1
+}
+
 impl Drop for Room {
     fn drop(&mut self) {
-        self.store.inner().promised -= self.length;
+        self.store.inner().taken -= self.length;
     }
 }
 
@@ -120,7 +131,7 @@ mod tests {
         let held = (0..4).map(|at| store.get(id(at)).is_some()).collect::<Vec<_>>();
         assert_eq!(held, [true, false, true, true]);
         put(&store, &packs[3]);
-        let copies = store.inner().packs.iter().filter(|pack| pack.id() == packs[3].id()).count();
+        let copies = store.inner().packs.iter().filter(|kept| kept.pack.id() == packs[3].id()).count();
         assert_eq!(copies, 1, "twice is once");
     }
 
@@ -141,5 +152,24 @@ mod tests {
         assert_eq!(store.make_room(2 * length + 1).err(), Some(refused));
         assert_eq!(store.inner().packs.len(), 1, "a refusal costs nobody his place");
         assert!(store.make_room(u64::MAX).is_err());
+    }
+
+    #[test]
+    fn a_pack_that_somebody_holds_keeps_its_room() {
+        let packs = [pack(0), pack(1)];
+        let length = packs[0].bytes().len() as u64;
+        let store = PackStore::new(2 * length);
+        let room = store.make_room(length).unwrap();
+        let held = store.keep(room, packs[0].clone());
+        put(&store, &packs[1]);
+        let refused = PackRefusal::OutOfMemory { needs: length + 1, has: length };
+        assert_eq!(store.make_room(length + 1).err(), Some(refused));
+        let room = store.make_room(length).unwrap();
+        assert!(store.get(PackId(packs[0].id().0)).is_some(), "the other went");
+        assert_eq!(store.make_room(1).err(), Some(PackRefusal::OutOfMemory { needs: 1, has: 0 }));
+        drop((held, room));
+        drop(store.make_room(2 * length).unwrap());
+        let inner = store.inner();
+        assert_eq!((inner.taken, inner.packs.len()), (0, 0));
     }
 }

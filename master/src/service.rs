@@ -35,7 +35,7 @@ impl Service {
     const PATIENCE: Duration = Duration::from_secs(60);
 
     /// Opens the door, and returns at once with what workers and clients need. `numeric_class` as in [`ClusterConfig`]; packs of clients
-    /// take up to `pack_bytes`. Needs a tokio runtime with I/O and time.
+    /// and the images that they wait for take up to `pack_bytes`. Needs a tokio runtime with I/O and time.
     pub fn listen(
         numeric_class: Option<String>,
         at: ListenConfig,
@@ -95,7 +95,7 @@ impl Service {
 
 /// Renders a client's frame, unless the client goes away.
 async fn perform(cluster: &mut Cluster, job: &mut Job) -> Result<FrameResult, FrameFailure> {
-    let Job { name, pack, job: frame, tell, done } = job;
+    let Job { name, pack, job: frame, tell, done, .. } = job;
     let begun = Instant::now();
     let before = cluster.traffic();
     let tell = |progress: Progress<'_>| {
@@ -115,7 +115,7 @@ async fn perform(cluster: &mut Cluster, job: &mut Job) -> Result<FrameResult, Fr
             return Err(FrameFailure::Crew { detail });
         }
         let crew = |detail: String| FrameFailure::Crew { detail: plain_text(&detail) };
-        cluster.load(pack, tell).await.map_err(|e| crew(e.to_string()))?;
+        cluster.load(&pack.pack, tell).await.map_err(|e| crew(e.to_string()))?;
         let result = cluster.render(frame, tell).await.map_err(|e| match e {
             RenderError::Job(e) => FrameFailure::Invalid { detail: e.to_string() },
             RenderError::NoPack | RenderError::AllLost { .. } => crew(e.to_string()),

@@ -37,7 +37,7 @@ pub struct MasterArgs {
     /// How long the join string lets in strangers: a number with s, m, h or d, or `never` for no end
     #[arg(long, value_name = "TIME", default_value = "1h", value_parser = time_to_live)]
     token_ttl: Ttl,
-    /// Memory for scenes that clients send: a number of bytes, or with K, M, G or T [default: half of what is free]
+    /// Memory for scenes that clients send and images that they wait for: a number of bytes, or with K, M, G or T [default: half of what is free]
     #[arg(long, value_name = "SIZE", value_parser = size)]
     packs: Option<u64>,
 }

@@ -90,6 +90,10 @@ pub const CLIENTS: usize = 32;
 /// How long a client may neither take nor give a byte in the middle of a transfer.
 pub const CLIENT_TIMEOUT: Duration = Duration::from_secs(60);
 
+/// How long a client may ask for nothing: who looks at a frame before the next is asked for has not gone, and those who wait want
+/// its seat and its pack's room.
+pub const CLIENT_IDLE: Duration = Duration::from_secs(600);
+
 /// Wanted kernel buffers of a UDP socket: 32 ms at 1 Gbit/s, so that a busy receiver does not lose packets.
 pub const SOCKET_BUFFER_BYTES: usize = 4 << 20;
 
