@@ -52,7 +52,7 @@ pub struct WorkerArgs {
     #[arg(long)]
     no_cache: bool,
     /// Join the master that has started this process, by the ticket on standard input
-    #[arg(long, hide = true, conflicts_with_all = ["join", "threads", "name", "retry_for", "cache_dir", "no_cache"])]
+    #[arg(long, hide = true, conflicts_with_all = ["join", "threads", "name", "retry_for", "cache_dir", "cache_limit", "no_cache"])]
     pub ticket: bool,
 }
 
