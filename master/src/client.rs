@@ -2,7 +2,8 @@
 
 use crate::{
     FrameBuffer, FrameJob, FrameResult, Progress, Timings, Traffic, WorkerReport,
-    transport::{PipeError, Pipes, read_message, read_raw, write_message, write_pack},
+    image::NoRoom,
+    transport::{PipeError, Pipes, read_message, reason, write_message, write_pack},
 };
 use std::time::{Duration, Instant};
 use tessera_pack::Pack;
@@ -10,7 +11,7 @@ use tessera_wire::{
     AbortCode, FrameFailure, FrameId, FrameSummary, FromClient, Hello, PackId, PackRefusal, Refusal, Role,
     ToClient, Token, Version, limits, plain_text,
 };
-use tokio::time::timeout;
+use tokio::{io::AsyncReadExt, time::timeout};
 
 /// A connection to a master that has let this client in. Dropping it ends what the master does for it.
 pub struct Client {
@@ -23,14 +24,17 @@ pub struct Client {
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     /// It does not take this client.
-    #[error("the master refuses this client: {0}")]
+    #[error("the master refuses this client: {}", plain_text(&.0.to_string()))]
     Refused(Refusal),
     /// It cannot hold the pack.
-    #[error("the master cannot hold the scene: {0}")]
+    #[error("the master cannot hold the scene: {}", plain_text(&.0.to_string()))]
     Rejected(PackRefusal),
     /// It has the pack, and no frame of it.
-    #[error(transparent)]
+    #[error("{}", plain_text(&.0.to_string()))]
     Failed(FrameFailure),
+    /// This side has no memory for the image.
+    #[error(transparent)]
+    NoRoom(#[from] NoRoom),
     /// It has cut the connection, and says why.
     #[error("the master has cut the connection: {code}: {detail}")]
     Cut {
@@ -50,7 +54,7 @@ pub enum ClientError {
 impl From<PipeError> for ClientError {
     fn from(error: PipeError) -> Self {
         match error {
-            PipeError::Io(e) => Self::Lost(e.to_string()),
+            PipeError::Io(e) => Self::Lost(reason(&e)),
             PipeError::Malformed(detail) => Self::Protocol(detail),
         }
     }
@@ -147,10 +151,9 @@ impl Client {
         let summary = read_message::<FrameSummary>(&mut self.pipes.bulk_in, limits::HEADER_BYTES).await?;
         let (summary, _) = summary.ok_or_else(|| ClientError::Lost("it ends before the image".into()))?;
         summary.check(&frame).map_err(ClientError::Protocol)?;
-        // Just checked to be the length that was asked for.
-        let rows = read_raw(&mut self.pipes.bulk_in, summary.length as usize).await.map_err(PipeError::Io)?;
-        let image = FrameBuffer::from_rows(job.width, job.height, job.format, rows)
-            .map_err(|e| ClientError::Protocol(e.to_string()))?;
+        // Just checked to be as long as announced.
+        let mut image = FrameBuffer::new(job.width, job.height, job.format)?;
+        self.pipes.bulk_in.read_exact(image.data_mut()).await.map_err(PipeError::Io)?;
         Ok(result(summary, pack, image))
     }
 

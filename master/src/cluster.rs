@@ -7,7 +7,7 @@ use crate::{
     door::{self, Door, Guest},
     line::{Counters, Input, Line, Tile},
     net, spawn,
-    transport::PipeError,
+    transport::{self, PipeError},
 };
 use quinn::VarInt;
 use std::{
@@ -431,7 +431,7 @@ impl Cluster {
                 self.coordinator.abort(worker, AbortCode::Malformed, detail, now);
             }
             Input::Broken(worker, PipeError::Io(e)) => {
-                let reason = format!("the connection is lost: {e}");
+                let reason = format!("the connection is lost: {}", transport::reason(&e));
                 self.coordinator.lost(worker, AbortCode::Done, reason, now);
             }
             Input::Exited(index, reason) => {

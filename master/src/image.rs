@@ -106,6 +106,11 @@ impl FrameBuffer {
         &self.data
     }
 
+    /// All rows, to be filled.
+    pub(crate) fn data_mut(&mut self) -> &mut [u8] {
+        &mut self.data
+    }
+
     /// Copies a tile of `width` by `height` pixels to column `x`, row `y`.
     pub fn put(&mut self, x: u32, y: u32, width: u32, height: u32, bytes: &[u8]) -> Result<(), TileError> {
         let fits = |start: u32, length: u32, end: u32| start.checked_add(length).is_some_and(|e| e <= end);

@@ -248,9 +248,14 @@ async fn write_packs(
             // Only a progress bar misses it if the queue is full.
             let _ = tell.try_send(Input::PackSent);
         };
-        if let Err(e) = write_pack(&mut pipe, &pack, sent).await {
-            let _ = tell.send(Input::Broken(worker, e)).await;
-            return;
+        match write_pack(&mut pipe, &pack, sent).await {
+            Ok(()) => {}
+            // A worker that cuts the connection stops reading first. Its control pipe tells why, and this one must not be before it.
+            Err(e @ PipeError::Io(_)) => return tracing::debug!("bulk pipe: {e}"),
+            Err(e) => {
+                let _ = tell.send(Input::Broken(worker, e)).await;
+                return;
+            }
         }
     }
 }

@@ -199,9 +199,10 @@ fn plain(error: io::Error) -> io::Error {
     }
 }
 
-/// Text on one line, so that an error is one line whatever it is made of.
+/// Text on one line and without what a terminal would obey, so that an error is one line whatever it is made of.
 pub fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
+    let words = text.split(|c: char| c.is_whitespace() || c.is_control()).filter(|word| !word.is_empty());
+    words.collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]
@@ -215,6 +216,11 @@ mod tests {
             .collect();
         names.sort();
         names
+    }
+
+    #[test]
+    fn one_line_is_one_line_that_no_terminal_obeys() {
+        assert_eq!(one_line(" a\n\tb\x1b]0;title\x07 c\u{9b}2J\u{2028}d\n"), "a b ]0;title c 2J d");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use tessera_pack::Pack;
 use tessera_wire::{
     PackChunk, PackId,
     codec::{self, CodecError, Message, PREFIX_BYTES},
-    limits,
+    limits, plain_text,
 };
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 
@@ -67,7 +67,7 @@ impl Link {
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum PipeError {
     /// The connection broke, or ended in the middle of something.
-    #[error("{0}")]
+    #[error("{}", reason(.0))]
     Io(#[from] io::Error),
     /// The peer sent what is not a message, or one with a number out of range.
     #[error("{0}")]
@@ -78,6 +78,12 @@ impl From<CodecError> for PipeError {
     fn from(e: CodecError) -> Self {
         Self::Malformed(e.to_string())
     }
+}
+
+/// Why a pipe broke, for people. QUIC's streams say only that the connection is lost; why is behind that, and part of it is the peer's.
+pub(crate) fn reason(error: &io::Error) -> String {
+    let behind = error.get_ref().and_then(|inner| inner.source());
+    plain_text(&behind.map_or_else(|| error.to_string(), ToString::to_string))
 }
 
 /// Writes the chunks of a pack; `sent` is told of each how many bytes its header and its raw bytes took.

@@ -168,6 +168,20 @@ async fn frame_elsewhere(
     };
     let WorkerPipes { control_in, control_out, bulk_in, bulk_out } = pipes;
     let pipes = Pipes { control_in, control_out, bulk_in, bulk_out };
+    let rendered = frame_over(pipes, pack, job, join, progress, begin).await;
+    closer.close(false).await;
+    rendered
+}
+
+/// As [`frame`], by the master behind `pipes`, which were asked for at `begin`.
+async fn frame_over(
+    pipes: Pipes,
+    pack: &Pack,
+    job: &FrameJob,
+    join: &JoinString,
+    progress: &Progress,
+    begin: Instant,
+) -> Result<Rendered, CommandError> {
     let mut client =
         Client::join(pipes, join.token, super::worker::own_name()).await.map_err(CommandError::failed)?;
     let start = begin.elapsed();
@@ -181,7 +195,6 @@ async fn frame_elsewhere(
         let bar = progress.parts("rendering tiles");
         client.render(job, |event| show(&bar, &event)).await.map_err(CommandError::failed)?
     };
-    closer.close(false).await;
     Ok(Rendered { frame, start })
 }
 
