@@ -131,11 +131,12 @@ fn a_worker_finds_a_master_that_was_started_again_by_its_file_and_gives_up_witho
     let folder = Folder::new();
     let file = folder.file("join.txt");
     let file = file.to_str().expect("a plain path");
-    let (mut first, join) = master(0, file);
-    let from_file = worker(&format!("@{file}"), "from-file", &["--no-cache"]);
-    first.wait_for("from-file has joined");
-    let fixed = worker(&join.to_string(), "fixed", &["--no-cache"]);
-    first.wait_for("fixed has joined");
+    let (first, join) = master(0, file);
+    // Their own word: a master that dies before it has told them has not taken them.
+    let mut from_file = worker(&format!("@{file}"), "from-file", &["--no-cache"]);
+    from_file.wait_for("the master has let this worker in");
+    let mut fixed = worker(&join.to_string(), "fixed", &["--no-cache"]);
+    fixed.wait_for("the master has let this worker in");
     signal("KILL", first.id());
     first.finish();
     // A new certificate and a new token at the same address.

@@ -300,7 +300,13 @@ impl Driver {
 
     fn take(&mut self, event: Event, session: &mut Session) -> Result<(), WorkerError> {
         match event {
-            Event::Message(message) => session.message(message),
+            Event::Message(message) => {
+                let was_welcomed = session.was_welcomed();
+                session.message(message);
+                if session.was_welcomed() && !was_welcomed {
+                    tracing::info!("the master has let this worker in");
+                }
+            }
             Event::Rendered(tile) => session.rendered(*tile),
             Event::RenderingStopped => session.rendering_stopped(),
             Event::RendererPanicked => session.abort(AbortCode::Internal, "the renderer has panicked".into()),
