@@ -98,8 +98,11 @@ fn workers_log_as_their_master_does() {
         .lines()
         .map(|line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{line:?} is no JSON: {e}")))
         .collect();
-    let of_workers = lines.iter().filter(|line| line["target"].as_str().is_some_and(is_of_worker));
-    assert_eq!(of_workers.count(), 2, "{outcome:?}");
+    let connected = lines.iter().filter(|line| {
+        line["target"].as_str().is_some_and(is_of_worker)
+            && line["fields"]["message"].as_str().is_some_and(|text| text.contains("is connected to"))
+    });
+    assert_eq!(connected.count(), 2, "{outcome:?}");
     let outcome = run("-v");
     assert_eq!(outcome.stderr.matches("is connected to").count(), 2, "{outcome:?}");
     // `json` takes no line on stderr.
