@@ -19,6 +19,13 @@ impl PartialEq for Kernel {
 
 impl Eq for Kernel {}
 
+impl Default for Kernel {
+    /// [`Kernel::auto`].
+    fn default() -> Self {
+        Self::auto()
+    }
+}
+
 impl Kernel {
     /// Eight rays at once with the best instructions that this machine has; ray by ray when it has none for several numbers.
     pub fn auto() -> Self {
