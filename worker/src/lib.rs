@@ -17,6 +17,7 @@ mod retry;
 mod serve;
 pub mod session;
 
+pub use backend::gpu;
 pub use backend::{Adapter, Backend, BackendChoice, BackendConfig, BackendError, adapters};
 pub use cache::PackCache;
 pub use join::{JoinError, serve_master};

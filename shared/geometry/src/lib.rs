@@ -12,6 +12,7 @@ pub mod ray;
 pub mod rounding;
 mod srgb;
 pub mod triangle;
+pub mod wgsl;
 pub mod wide;
 
 pub use aabb::Aabb;

@@ -8,6 +8,7 @@ pub mod node;
 mod packet;
 pub mod traverse;
 pub mod validate;
+pub mod wgsl;
 
 pub use build::{BuildError, BuildOptions, Tree, TreeStats, build};
 pub use kernel::Kernel;

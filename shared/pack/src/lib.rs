@@ -7,6 +7,7 @@ pub mod buffer;
 pub mod build;
 mod check;
 pub mod color;
+pub mod device;
 pub mod error;
 pub mod format;
 pub mod input;

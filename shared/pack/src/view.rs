@@ -203,9 +203,14 @@ impl Pack {
         sizes.filter(|&(_, length)| length > 0).collect()
     }
 
+    /// Bytes of a section, none when it is absent; aligned to their elements.
+    pub(crate) fn section(&self, section: Section) -> &[u8] {
+        &self.bytes()[self.inner.layout.range(section)]
+    }
+
     fn slice<T: Pod>(&self, section: Section) -> &[T] {
         // Sections are aligned to 64 and their lengths were checked: the cast cannot fail.
-        bytemuck::cast_slice(&self.bytes()[self.inner.layout.range(section)])
+        bytemuck::cast_slice(self.section(section))
     }
 }
 
@@ -261,6 +266,12 @@ pub(crate) fn cell_bytes(cells: [u32; 3]) -> usize {
     if cells_are_wide(cells) { size_of::<u64>() } else { size_of::<u32>() }
 }
 
+/// What is added to a voxel's coordinates: half a voxel, minus the grid's centre.
+pub(crate) fn voxel_bias(cells: [u32; 3]) -> [f32; 3] {
+    // n <= 8192: 512 n and the half are exact.
+    cells.map(|n| 0.5 - (n * (VOXELS_PER_CELL / 2)) as f32)
+}
+
 #[inline(always)]
 pub(crate) fn narrow_cell(entry: u32) -> [u32; 3] {
     [entry >> 20, entry >> 10 & 1023, entry & 1023]
@@ -285,8 +296,7 @@ impl<'a> MeshView<'a> {
             } else {
                 Positions::Narrow(elements(section(Section::Cells)))
             },
-            // n <= 8192: 512 n and the half are exact.
-            bias: head.cells.map(|n| 0.5 - (n * (VOXELS_PER_CELL / 2)) as f32),
+            bias: voxel_bias(head.cells),
             plain_normals: elements(section(Section::Normals)),
             plain_uvs: elements(section(Section::Uvs)),
             side_uvs: elements(section(Section::SideUvs)),

@@ -20,6 +20,9 @@
 
 use crate::grid::{VOXELS_PER_CELL, Voxel};
 
+/// The record's text for GPUs.
+pub const WGSL: &str = include_str!("vertex.wgsl");
+
 /// Words of a record with texture coordinates.
 pub const WORDS_MAX: usize = 3;
 /// Units of a packed texture coordinate in 1.0.

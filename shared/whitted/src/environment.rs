@@ -66,7 +66,7 @@ impl<'a> Backdrop<'a> {
 /// The level direction towards the image's centre: `+z` made perpendicular to `up`. When `up` itself is nearly `+z`
 /// or `-z` (within 8 degrees: the scene stands on another axis) `-y` takes its place, which is where `+z` goes when
 /// `y` is turned up to `z`.
-fn level_ahead(up: Vec3) -> Vec3 {
+pub(crate) fn level_ahead(up: Vec3) -> Vec3 {
     let wanted = if up.z.abs() > 0.99 { Vec3::NEG_Y } else { Vec3::Z };
     (wanted - up * wanted.dot(up)).normalize()
 }

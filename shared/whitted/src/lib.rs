@@ -14,8 +14,10 @@
 //! | `surface.rs` | what a ray has hit |
 //! | `environment.rs`, `texture.rs`, `color.rs` | misses, look-ups, sRGB |
 //! | `scene.rs` | a pack made ready |
+//! | [`device`], [`variant`] | the same for GPUs: what kernels are told, and which kernel a scene needs |
 
 mod color;
+pub mod device;
 mod environment;
 pub mod frame;
 mod light;
@@ -26,6 +28,7 @@ mod scene;
 pub mod shade;
 mod surface;
 mod texture;
+pub mod variant;
 
 pub use frame::{Features, FrameParams, PixelFormat, RayCounts};
 pub use pixel::{NUMERIC_CLASS, PixelBlock};

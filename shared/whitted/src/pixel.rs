@@ -52,11 +52,12 @@ impl Renderer<'_> {
                 let seen = &seen[lane];
                 match params.format {
                     PixelFormat::Rgba8 => {
-                        bytes.copy_from_slice(&straight_codes(seen, 255.0).map(|c| c as u8))
+                        bytes.copy_from_slice(&straight_codes(seen.color, seen.alpha, 255.0).map(|c| c as u8))
                     }
-                    PixelFormat::Rgba16 => {
-                        write_words(bytes, straight_codes(seen, 65535.0).map(u16::to_le_bytes))
-                    }
+                    PixelFormat::Rgba16 => write_words(
+                        bytes,
+                        straight_codes(seen.color, seen.alpha, 65535.0).map(u16::to_le_bytes),
+                    ),
                     PixelFormat::Layers => write_words(bytes, layers(self, seen)),
                 }
             }
@@ -143,10 +144,10 @@ fn packet_of_pixels(
 }
 
 /// sRGB codes of the colour behind the premultiplied one, and of alpha.
-fn straight_codes(seen: &Seen, max_code: f64) -> [u16; 4] {
-    let color = if seen.alpha > 0.0 { seen.color / seen.alpha } else { Vec3::ZERO };
+pub(crate) fn straight_codes(premultiplied: Vec3, alpha: f32, max_code: f64) -> [u16; 4] {
+    let color = if alpha > 0.0 { premultiplied / alpha } else { Vec3::ZERO };
     let [r, g, b] = color.to_array().map(|c| encode_srgb(c, max_code));
-    [r, g, b, encode_linear(seen.alpha, max_code)]
+    [r, g, b, encode_linear(alpha, max_code)]
 }
 
 /// The nine words of [`PixelFormat::Layers`]: linear premultiplied colour, alpha, distance from the eye in world

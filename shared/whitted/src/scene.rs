@@ -145,11 +145,11 @@ pub(crate) fn lets_light_through(material: &Material) -> bool {
 
 /// Whether a surface of this material is not there for a ray that looks at its back. What transmits light keeps its
 /// back, single-sided or not: a ray must meet the far side of a glass body from within.
-fn hides_its_back(material: &Material) -> bool {
+pub(crate) fn hides_its_back(material: &Material) -> bool {
     material.flags & MaterialFlags::DOUBLE_SIDED == 0 && material.transmission == 0.0
 }
 
-fn is_textured(material: &Material) -> bool {
+pub(crate) fn is_textured(material: &Material) -> bool {
     [
         material.base_texture,
         material.metallic_roughness_texture,

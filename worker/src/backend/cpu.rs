@@ -76,7 +76,8 @@ fn split(
     blocks
 }
 
-fn params(frame: &Frame) -> FrameParams {
+/// What the tracer is to do.
+pub(crate) fn params(frame: &Frame) -> FrameParams {
     let camera = frame.camera;
     FrameParams {
         camera: LocalCamera {

@@ -1,6 +1,7 @@
 //! What renders: the CPU, or a GPU by way of wgpu.
 
 pub(crate) mod cpu;
+pub mod gpu;
 
 use std::fmt;
 use tessera_kdtree::Kernel;
@@ -55,7 +56,7 @@ pub struct Adapter {
 
 /// All adapters of this machine, usable or not.
 pub fn adapters() -> Vec<Adapter> {
-    Vec::new()
+    gpu::adapter::list()
 }
 
 /// Why a backend cannot be had.

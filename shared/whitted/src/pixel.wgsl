@@ -1,0 +1,102 @@
+// Sibling of pixel.rs: blocks of pixels, a work-group each.
+
+/// Words of a pixel: codes; or linear colour, premultiplied, and alpha; or the layers of pixel.rs.
+fn pixel_words(format: u32) -> u32 {
+    return select(select(1u, 4u, format == FORMAT_RGBA16), 9u, format == FORMAT_LAYERS);
+}
+
+@compute @workgroup_size(GROUP_WIDTH, GROUP_HEIGHT)
+fn render(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
+    zero = frame.zero;
+    let job = jobs[group.y];
+    let columns = (job.width + GROUP_WIDTH - 1u) / GROUP_WIDTH;
+    let at = vec2<u32>(group.x % columns * GROUP_WIDTH, group.x / columns * GROUP_HEIGHT) + local.xy;
+    if at.x >= job.width || at.y >= job.height { return; }
+    render_pixel(job, vec2<u32>(job.x, job.y) + at, at.y * job.width + at.x, group.y);
+}
+
+fn render_pixel(job: Job, pixel: vec2<u32>, place: u32, job_index: u32) {
+    counts = vec4<u32>(0u);
+    let camera = LocalCamera(frame.eye, frame.forward, frame.right, frame.up);
+    let size = vec2<f32>(f32(frame.width), f32(frame.height));
+    let corner = vec2<f32>(pixel);
+    var sum = Seen(vec3<f32>(0.0), 0.0, Hit(FAR, NO_TRIANGLE, 0.0, 0.0));
+    if frame.samples <= 1u {
+        // Send one sample through the centre.
+        sum = trace(camera_ray(camera, corner + 0.5, size));
+    } else {
+        // Or add up many, as far as they go in this pass.
+        if job.first_sample > 0u { sum = load_sum(job.at_sums + place); }
+        let seed = pixel_seed(frame.seed_low, frame.seed_high, pixel.x, pixel.y);
+        for (var i = job.first_sample; i < job.end_sample; i++) {
+            let seen = trace(camera_ray(camera, corner + offset_in_pixel(i, frame.samples, seed), size));
+            sum.color += seen.color;
+            sum.alpha += seen.alpha;
+        }
+        if job.end_sample < frame.samples {
+            store_sum(job.at_sums + place, sum);
+            add_counts(job_index);
+            return;
+        }
+        let share = quotient(1.0, f32(frame.samples));
+        if frame.format == FORMAT_LAYERS {
+            counts.x += 1u;
+            sum.first = first_seen(camera_ray(camera, corner + 0.5, size));
+        }
+        sum.color *= share;
+        sum.alpha *= share;
+    }
+    add_counts(job_index);
+    write_pixel(job.at_pixels + place * pixel_words(frame.format), sum);
+}
+
+fn write_pixel(at: u32, seen: Seen) {
+    if frame.format == FORMAT_RGBA8 {
+        pixels[at] = straight_codes(seen);
+        return;
+    }
+    pixels[at] = bitcast<u32>(seen.color.x);
+    pixels[at + 1u] = bitcast<u32>(seen.color.y);
+    pixels[at + 2u] = bitcast<u32>(seen.color.z);
+    pixels[at + 3u] = bitcast<u32>(seen.alpha);
+    if frame.format == FORMAT_LAYERS {
+        var depth = 0x7f800000u;
+        var normal = vec3<f32>(0.0);
+        var id = NO_TRIANGLE;
+        if seen.first.triangle != NO_TRIANGLE {
+            let corners = corners_of(seen.first.triangle);
+            depth = bitcast<u32>(world_length(seen.first.t));
+            normal = geometric_normal(corners.a, corners.b, corners.c);
+            id = original_id(seen.first.triangle);
+        }
+        pixels[at + 4u] = depth;
+        pixels[at + 5u] = bitcast<u32>(normal.x);
+        pixels[at + 6u] = bitcast<u32>(normal.y);
+        pixels[at + 7u] = bitcast<u32>(normal.z);
+        pixels[at + 8u] = id;
+    }
+}
+
+/// sRGB codes of the colour behind the premultiplied one, and of alpha: RGBA, red in bits 0..=7.
+fn straight_codes(seen: Seen) -> u32 {
+    var color = vec3<f32>(0.0);
+    if seen.alpha > 0.0 { color = quotient3(seen.color, vec3<f32>(seen.alpha)); }
+    return encode_srgb(color.x) | (encode_srgb(color.y) << 8u) | (encode_srgb(color.z) << 16u) | (encode_linear(seen.alpha) << 24u);
+}
+
+fn load_sum(at: u32) -> Seen {
+    let v = sums[at];
+    return Seen(v.xyz, v.w, Hit(FAR, NO_TRIANGLE, 0.0, 0.0));
+}
+
+fn store_sum(at: u32, sum: Seen) {
+    sums[at] = vec4<f32>(sum.color, sum.alpha);
+}
+
+/// Adds this pixel's rays to those of its job.
+fn add_counts(job_index: u32) {
+    if counts.x > 0u { atomicAdd(&ray_counts[job_index * 4u], counts.x); }
+    if counts.y > 0u { atomicAdd(&ray_counts[job_index * 4u + 1u], counts.y); }
+    if counts.z > 0u { atomicAdd(&ray_counts[job_index * 4u + 2u], counts.z); }
+    if counts.w > 0u { atomicAdd(&ray_counts[job_index * 4u + 3u], counts.w); }
+}

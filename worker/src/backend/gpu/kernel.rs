@@ -1,0 +1,214 @@
+//! The kernels' text and what is compiled of it.
+
+use super::{Gpu, GpuError};
+use std::borrow::Cow;
+use std::fmt::Write;
+use tessera_geometry::wgsl as geometry;
+use tessera_kdtree::wgsl as kdtree;
+use tessera_whitted::device as whitted;
+use tessera_whitted::variant::Variant;
+use wgpu::{
+    BindGroupLayout, BindGroupLayoutDescriptor, BindGroupLayoutEntry, BindingType, BufferBindingType,
+    ComputePipeline, ComputePipelineDescriptor, PipelineLayoutDescriptor, ShaderModuleDescriptor,
+    ShaderRuntimeChecks, ShaderSource, ShaderStages,
+};
+
+/// What a traversal remembers of a ray's way. The answers are the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum TraversalForm {
+    /// A stack as deep as a tree may be, for every ray: simple, the oracle of the other.
+    #[default]
+    PrivateStack,
+    /// A few entries and a trail of bits; what was forgotten is found again from the root.
+    ShortStack,
+}
+
+/// How kernels are made; every choice gives the same answers, but for `f64`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct GpuOptions {
+    /// What a ray remembers of its way.
+    pub form: TraversalForm,
+    /// Compute in `f64` where the device can: hits are then those of the CPU.
+    pub f64: bool,
+    /// Leave out what the scene does not need.
+    pub lean: bool,
+}
+
+impl Default for GpuOptions {
+    fn default() -> Self {
+        Self { form: TraversalForm::default(), f64: true, lean: true }
+    }
+}
+
+/// Columns and rows of a work-group: 64 rays that begin beside each other, as in the paper.
+pub(super) const GROUP: [u32; 2] = [8, 8];
+
+/// Everything that decides about a kernel's text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) struct KernelKey {
+    pub(super) variant: Variant,
+    /// Mirror and bent rays that a path may take.
+    pub(super) depth: u32,
+    pub(super) form: TraversalForm,
+    pub(super) f64: bool,
+    /// Bindings of slots and of words, and the logarithm of what each of several holds.
+    pub(super) chunks: Chunks,
+    /// What it is for.
+    pub(super) purpose: Purpose,
+}
+
+/// How the slots and the words are split over bindings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) struct Chunks {
+    pub(super) slot_bindings: u32,
+    pub(super) slots_log2: u32,
+    pub(super) word_bindings: u32,
+    pub(super) words_log2: u32,
+}
+
+/// What a kernel does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Purpose {
+    /// Pixels of jobs.
+    Render,
+    /// The rays behind single pixels, and what they hit.
+    Probe,
+    /// Given rays.
+    Rays,
+}
+
+impl Purpose {
+    fn entry(self) -> &'static str {
+        match self {
+            Self::Render => "render",
+            Self::Probe => "probe",
+            Self::Rays => "trace_rays",
+        }
+    }
+}
+
+/// First binding of the slots; before it come scene, frame, jobs, pixels, sums and counts.
+pub(super) const SLOT_BINDING: u32 = 6;
+
+/// The text of a kernel: constants, bindings, and the rooms' files in the order of their doors.
+pub(super) fn text(key: &KernelKey) -> String {
+    let mut text = key.variant.constants(key.depth);
+    let [width, height] = GROUP;
+    let _ = writeln!(text, "const GROUP_WIDTH: u32 = {width}u;\nconst GROUP_HEIGHT: u32 = {height}u;");
+    text += "@group(0) @binding(0) var<uniform> scene: SceneInfo;\n\
+             @group(0) @binding(1) var<uniform> frame: FrameInfo;\n\
+             @group(0) @binding(2) var<storage, read> jobs: array<Job>;\n\
+             @group(0) @binding(3) var<storage, read_write> pixels: array<u32>;\n\
+             @group(0) @binding(4) var<storage, read_write> sums: array<vec4<f32>>;\n\
+             @group(0) @binding(5) var<storage, read_write> ray_counts: array<atomic<u32>>;\n";
+    let Chunks { slot_bindings, slots_log2, word_bindings, words_log2 } = key.chunks;
+    split(&mut text, ("slot", "vec2<u32>"), SLOT_BINDING, slot_bindings, slots_log2);
+    split(&mut text, ("word", "u32"), SLOT_BINDING + slot_bindings, word_bindings, words_log2);
+    text = text.replace("fn slot(", "fn slot_at(");
+    text += match key.purpose {
+        Purpose::Render => "fn record(query: Query, hit: Hit) {}\n",
+        Purpose::Probe | Purpose::Rays => include_str!("probe.wgsl"),
+    };
+    let precision = if key.f64 { geometry::F64 } else { geometry::F32 };
+    let stack = match key.form {
+        TraversalForm::PrivateStack => kdtree::PRIVATE_STACK,
+        TraversalForm::ShortStack => kdtree::SHORT_STACK,
+    };
+    let rooms = geometry::COMMON.iter().chain(&precision).chain(&kdtree::COMMON).chain([&stack]);
+    for file in rooms.chain(&tessera_pack::device::WGSL).chain(&whitted::WGSL) {
+        text += file;
+    }
+    text
+}
+
+/// An accessor `name(i)` over `count` bindings from `first` on, of 2^`log2` elements each.
+fn split(text: &mut String, (name, element): (&str, &str), first: u32, count: u32, log2: u32) {
+    for i in 0..count {
+        let _ = writeln!(
+            text,
+            "@group(0) @binding({}) var<storage, read> {name}s_{i}: array<{element}>;",
+            first + i
+        );
+    }
+    let _ = writeln!(text, "fn {name}(i: u32) -> {element} {{");
+    if count > 1 {
+        let mask = (1u64 << log2) - 1;
+        let _ = writeln!(text, "switch i >> {log2}u {{");
+        for i in 1..count {
+            let _ = writeln!(text, "case {i}u: {{ return {name}s_{i}[i & {mask}u]; }}");
+        }
+        let _ = writeln!(text, "default: {{ return {name}s_0[i & {mask}u]; }}\n}}");
+    } else {
+        let _ = writeln!(text, "return {name}s_0[i];");
+    }
+    let _ = writeln!(text, "}}");
+}
+
+/// The layout of the one bind group.
+pub(super) fn bind_group_layout(gpu: &Gpu, chunks: Chunks, purpose: Purpose) -> BindGroupLayout {
+    let entry = |binding: u32, ty: BufferBindingType| BindGroupLayoutEntry {
+        binding,
+        visibility: ShaderStages::COMPUTE,
+        ty: BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
+        count: None,
+    };
+    let read = BufferBindingType::Storage { read_only: true };
+    let write = BufferBindingType::Storage { read_only: false };
+    let mut entries = vec![
+        entry(0, BufferBindingType::Uniform),
+        entry(1, BufferBindingType::Uniform),
+        entry(2, read),
+        entry(3, write),
+        entry(4, write),
+        entry(5, write),
+    ];
+    let end = SLOT_BINDING + chunks.slot_bindings + chunks.word_bindings;
+    entries.extend((SLOT_BINDING..end).map(|binding| entry(binding, read)));
+    if purpose != Purpose::Render {
+        entries.extend([entry(end, read), entry(end + 1, write)]);
+    }
+    let descriptor = BindGroupLayoutDescriptor { label: None, entries: &entries };
+    gpu.device().create_bind_group_layout(&descriptor)
+}
+
+/// Compiles a kernel.
+pub(super) fn compile(
+    gpu: &Gpu,
+    key: &KernelKey,
+    layout: &BindGroupLayout,
+) -> Result<ComputePipeline, GpuError> {
+    let end = SLOT_BINDING + key.chunks.slot_bindings + key.chunks.word_bindings;
+    let text =
+        text(key).replace("PROBE_INPUT", &end.to_string()).replace("PROBE_OUTPUT", &(end + 1).to_string());
+    gpu.try_make(|| {
+        let source = ShaderSource::Wgsl(Cow::Owned(text));
+        let module = shader_module(gpu, ShaderModuleDescriptor { label: Some(key.purpose.entry()), source });
+        let layouts = [Some(layout)];
+        let layout = gpu.device().create_pipeline_layout(&PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &layouts,
+            immediate_size: 0,
+        });
+        gpu.device().create_compute_pipeline(&ComputePipelineDescriptor {
+            label: Some(key.purpose.entry()),
+            layout: Some(&layout),
+            module: &module,
+            entry_point: Some(key.purpose.entry()),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                zero_initialize_workgroup_memory: false,
+                ..Default::default()
+            },
+            cache: None,
+        })
+    })
+}
+
+/// A module without checks at run time, which cost a third of the time and more.
+#[expect(unsafe_code, reason = "every index was checked when the pack was taken in, and every loop ends")]
+fn shader_module(gpu: &Gpu, descriptor: ShaderModuleDescriptor<'_>) -> wgpu::ShaderModule {
+    // SAFETY: the kernels read a pack's sections at places that come from the pack alone, which `Pack::check` has held to their sections;
+    // write pixels, sums and counts at places that `tiles.rs` and `probe.rs` have sized their buffers for; and keep stacks within the
+    // bounds that hold for a valid tree (`MAX_DEPTH`) and a path (`Variant::path_stack`). Loops run over lists, levels, layers and
+    // waiting rays, each of which is bounded. No divisor of an integer is 0.
+    unsafe { gpu.device().create_shader_module_trusted(descriptor, ShaderRuntimeChecks::unchecked()) }
+}

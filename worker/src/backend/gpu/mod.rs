@@ -1,0 +1,55 @@
+//! A GPU by way of wgpu: the only room that names it.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `adapter.rs` | what GPUs there are, and which one is meant |
+//! | `device.rs` | an opened one: its limits, its errors, how it is lost |
+//! | `kernel.rs` | the kernels' text and what is compiled of it |
+//! | `scene.rs` | a pack in its memory |
+//! | `pass.rs` | tiles cut into pieces of bounded work; pure |
+//! | `tiles.rs` | tiles on their way: submitted, awaited, read back |
+//! | `probe.rs` | single rays and paths, for tests and tools |
+//!
+//! The work goes in submissions of bounded length, two of them under way: while one is computed, the pixels of the one before are read back.
+
+pub(crate) mod adapter;
+mod device;
+mod kernel;
+mod pass;
+pub mod probe;
+mod scene;
+pub(crate) mod tiles;
+
+pub(crate) use device::Gpu;
+pub use kernel::{GpuOptions, TraversalForm};
+pub(crate) use scene::GpuScene;
+
+/// Version of the kernels, part of the numeric class: raise it with every change of a result.
+pub(crate) const KERNEL_VERSION: u32 = 1;
+
+/// Why a GPU did not do what was asked.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum GpuError {
+    /// The scene does not fit.
+    #[error("the GPU cannot hold the scene: it needs {needs} bytes, {what} {has}")]
+    CannotHold {
+        /// Bytes of the scene.
+        needs: u64,
+        /// Bytes that there are.
+        has: u64,
+        /// Of what there are so many.
+        what: &'static str,
+    },
+    /// The driver gave up: reset, unplugged, crashed.
+    #[error("the GPU is lost: {0}")]
+    Lost(String),
+    /// A submission did not end in time.
+    #[error("the GPU has not answered for {seconds} s: it is taken for hung")]
+    Hung {
+        /// So long.
+        seconds: u64,
+    },
+    /// The driver refused something that should work.
+    #[error("the GPU's driver refuses: {0}")]
+    Refused(String),
+}

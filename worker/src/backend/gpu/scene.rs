@@ -1,0 +1,233 @@
+//! A pack in a GPU's memory, and the kernels that were compiled for it.
+
+use super::kernel::{Chunks, GpuOptions, KernelKey, Purpose, bind_group_layout, compile};
+use super::{Gpu, GpuError};
+use bytemuck::bytes_of;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+use tessera_pack::Pack;
+use tessera_pack::device::DeviceWords;
+use tessera_whitted::device::{SceneInfo, code_thresholds};
+use tessera_whitted::variant::Variant;
+use wgpu::{BindGroupLayout, Buffer, BufferDescriptor, BufferUsages, ComputePipeline};
+
+/// A pack in a GPU's memory.
+pub(crate) struct GpuScene {
+    pub(super) gpu: Gpu,
+    pub(super) pack: Pack,
+    pub(super) options: GpuOptions,
+    pub(super) info: Buffer,
+    /// The kd-tree's slots and all other words, in as many buffers as the device's bindings ask for.
+    pub(super) slots: Vec<Buffer>,
+    pub(super) words: Vec<Buffer>,
+    chunks: Chunks,
+    variant: Variant,
+    kernels: Mutex<HashMap<KernelKey, Arc<Kernel>>>,
+}
+
+/// A compiled kernel and the layout of what it reads.
+pub(super) struct Kernel {
+    pub(super) pipeline: ComputePipeline,
+    pub(super) layout: BindGroupLayout,
+}
+
+/// Storage buffers of a kernel that are not of the scene: jobs, pixels, sums, counts, and two for probes.
+const OWN_BINDINGS: u32 = 6;
+
+/// What is kept free beside a scene for pixels and sums, which are bounded by a submission's work.
+const WORKING_BYTES: u64 = 64 << 20;
+
+/// Written at once at most: the driver holds as much beside it.
+const WRITE_BYTES: usize = 32 << 20;
+
+impl GpuScene {
+    /// Uploads `pack`, or says why it cannot be held, before anything is uploaded if the numbers tell.
+    pub(crate) fn load(gpu: &Gpu, pack: &Pack, options: GpuOptions) -> Result<Self, GpuError> {
+        let begun = Instant::now();
+        let thresholds = code_thresholds();
+        let needs = pack.bytes().len() as u64;
+        let Some(words) = DeviceWords::of(pack, &thresholds) else {
+            let has = u64::from(u32::MAX) * 4;
+            return Err(GpuError::CannotHold { needs, has, what: "its kernels reach" });
+        };
+        let (slot_bytes, word_bytes) = (words.slots.len() as u64, words.length * 4);
+        let chunks = check(gpu, slot_bytes, word_bytes)?;
+
+        let slots = upload(gpu, &[words.slots], 8 << chunks.slots_log2, slot_bytes, chunks.slot_bindings)?;
+        let rows = upload(gpu, &words.pieces, 4 << chunks.words_log2, word_bytes, chunks.word_bindings)?;
+        let info = gpu.try_make(|| {
+            let descriptor = BufferDescriptor {
+                label: Some("scene"),
+                size: size_of::<SceneInfo>() as u64,
+                usage: BufferUsages::UNIFORM | BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            };
+            gpu.device().create_buffer(&descriptor)
+        })?;
+        gpu.queue().write_buffer(&info, 0, bytes_of(&SceneInfo::of(pack, &words)));
+        let variant = if options.lean { Variant::of(pack) } else { Variant::everything(pack) };
+        tracing::debug!(
+            "the GPU holds {} bytes of the scene after {:.1?}, kernel {}",
+            slot_bytes + word_bytes,
+            begun.elapsed(),
+            variant.name()
+        );
+        Ok(Self {
+            gpu: gpu.clone(),
+            pack: pack.clone(),
+            options,
+            info,
+            slots,
+            words: rows,
+            chunks,
+            variant,
+            kernels: Mutex::default(),
+        })
+    }
+
+    /// Which scene it is.
+    pub(crate) fn pack(&self) -> &Pack {
+        &self.pack
+    }
+
+    /// The kernel for paths of `depth` mirror and bent rays, compiled the first time.
+    pub(super) fn kernel(&self, depth: u32, purpose: Purpose) -> Result<Arc<Kernel>, GpuError> {
+        // A path that needs no stack is the same at any depth.
+        let depth = if self.variant.path_stack(depth) == 1 { 0 } else { depth };
+        let key = KernelKey {
+            variant: self.variant,
+            depth,
+            form: self.options.form,
+            f64: self.gpu.uses_f64() && self.options.f64,
+            chunks: self.chunks,
+            purpose,
+        };
+        let mut kernels = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(kernel) = kernels.get(&key) {
+            return Ok(kernel.clone());
+        }
+        let begun = Instant::now();
+        let layout = self.gpu.try_make(|| bind_group_layout(&self.gpu, self.chunks, purpose))?;
+        let pipeline = compile(&self.gpu, &key, &layout)?;
+        tracing::debug!(
+            "compiled the kernel {} ({purpose:?}) in {:.1?}",
+            self.variant.name(),
+            begun.elapsed()
+        );
+        let kernel = Arc::new(Kernel { pipeline, layout });
+        kernels.insert(key, kernel.clone());
+        Ok(kernel)
+    }
+}
+
+/// How a scene is split over bindings; an error when it is too large.
+pub(crate) fn fits(gpu: &Gpu, pack: &Pack) -> Result<(), GpuError> {
+    let thresholds = [0.0; 256];
+    let needs = pack.bytes().len() as u64;
+    let Some(words) = DeviceWords::of(pack, &thresholds) else {
+        return Err(GpuError::CannotHold { needs, has: u64::from(u32::MAX) * 4, what: "its kernels reach" });
+    };
+    check(gpu, words.slots.len() as u64, words.length * 4).map(|_| ())
+}
+
+fn check(gpu: &Gpu, slot_bytes: u64, word_bytes: u64) -> Result<Chunks, GpuError> {
+    let limits = gpu.limits();
+    let binding = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    let bindings = limits.max_storage_buffers_per_shader_stage.saturating_sub(OWN_BINDINGS);
+    let needs = slot_bytes + word_bytes;
+    if let Some(memory) = gpu.adapter().memory
+        && needs + WORKING_BYTES > memory
+    {
+        return Err(GpuError::CannotHold {
+            needs: needs + WORKING_BYTES,
+            has: memory,
+            what: "its memory has",
+        });
+    }
+    chunks(slot_bytes, word_bytes, binding, bindings).ok_or(GpuError::CannotHold {
+        needs,
+        has: binding.saturating_mul(bindings.into()),
+        what: "its bindings reach",
+    })
+}
+
+/// Bindings of at most `binding` bytes each, `bindings` in all: one where everything fits in it, else equal powers of two.
+fn chunks(slot_bytes: u64, word_bytes: u64, binding: u64, bindings: u32) -> Option<Chunks> {
+    let split = |bytes: u64, element: u64| {
+        if bytes <= binding {
+            return Some((1, 31));
+        }
+        let log2 = (binding / element).checked_ilog2()?.min(31);
+        let count = (bytes / element).div_ceil(1 << log2);
+        Some((u32::try_from(count).ok()?, log2))
+    };
+    let (slot_bindings, slots_log2) = split(slot_bytes, 8)?;
+    let (word_bindings, words_log2) = split(word_bytes, 4)?;
+    (slot_bindings.checked_add(word_bindings)? <= bindings).then_some(Chunks {
+        slot_bindings,
+        slots_log2,
+        word_bindings,
+        words_log2,
+    })
+}
+
+/// Writes `pieces` one after the other into `count` buffers of `chunk` bytes each, the last one shorter.
+fn upload(gpu: &Gpu, pieces: &[&[u8]], chunk: u64, total: u64, count: u32) -> Result<Vec<Buffer>, GpuError> {
+    let made = gpu.try_make(|| {
+        let sizes = (0..u64::from(count)).map(|i| total.saturating_sub(i * chunk).min(chunk));
+        let descriptors = sizes.map(|size| BufferDescriptor {
+            label: Some("pack"),
+            // An empty section has a binding too.
+            size: size.max(8),
+            usage: BufferUsages::STORAGE | BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        descriptors.map(|descriptor| gpu.device().create_buffer(&descriptor)).collect::<Vec<_>>()
+    });
+    let buffers = made.map_err(|error| match error {
+        GpuError::Refused(reason) if reason.contains("Out of Memory") => {
+            let has = gpu.adapter().memory.unwrap_or(0);
+            GpuError::CannotHold { needs: total, has, what: "the driver has no more of" }
+        }
+        error => error,
+    })?;
+    let mut at = 0;
+    for piece in pieces {
+        let mut rest = *piece;
+        while !rest.is_empty() {
+            let (buffer, offset) = ((at / chunk) as usize, at % chunk);
+            let length = rest.len().min(WRITE_BYTES).min((chunk - offset) as usize);
+            let (now, later) = rest.split_at(length);
+            gpu.queue().write_buffer(&buffers[buffer], offset, now);
+            if length == WRITE_BYTES {
+                gpu.queue().submit([]);
+            }
+            at += length as u64;
+            rest = later;
+        }
+    }
+    gpu.queue().submit([]);
+    gpu.check()?;
+    Ok(buffers)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_does_not_fit_a_binding_is_split_and_what_does_not_fit_them_all_is_refused() {
+        let chunks = |slots, words, binding, bindings| chunks(slots, words, binding, bindings);
+        let one = Chunks { slot_bindings: 1, slots_log2: 31, word_bindings: 1, words_log2: 31 };
+        assert_eq!(chunks(100, 1000, 1000, 2), Some(one));
+        assert_eq!(chunks(0, 0, 1000, 2), Some(one), "an empty scene");
+        // 1004 bytes of words in pieces of 128 words of 4: 251 words, two bindings.
+        let two = Chunks { word_bindings: 2, words_log2: 7, ..one };
+        assert_eq!(chunks(100, 1004, 1000, 3), Some(two));
+        assert_eq!(chunks(100, 1004, 1000, 2), None);
+        let slots = Chunks { slot_bindings: 3, slots_log2: 6, ..one };
+        assert_eq!(chunks(8 * 129, 8, 1000, 4), Some(slots));
+        assert_eq!(chunks(u64::MAX / 2, 8, 1 << 27, 26), None);
+    }
+}
