@@ -1,4 +1,6 @@
-// Sibling of path.rs, whose head says how a path ends: the rays of one sample, depth first, without recursion.
+// Sibling of path.rs, whose head says how a path ends, and of `local_light` and `transmittance`: the rays of one sample, depth first, in
+// the order of the single-ray code. There is one search for all of them, in a loop: rays of neighbouring pixels that look, ask for a light
+// or filter it take their steps together, and the kernel holds one traversal and not four.
 
 /// 1/512: the weight in a pixel below which a ray is not traced.
 const MIN_WEIGHT: f32 = 0.001953125;
@@ -54,23 +56,58 @@ fn query_of(segment: Segment) -> Query {
     return Query(Ray(segment.origin, t_min, segment.direction, FAR), segment.after_t, segment.after_triangle, LOOK);
 }
 
-/// Follows one ray from the eye, and everything behind it.
-fn trace(eye: Ray) -> Seen {
+/// What the ray that is at hand met last, while its lights are asked one by one.
+var<private> view_hit: Hit;
+var<private> view_surface: Surface;
+var<private> view_terms: Terms;
+var<private> view_alpha: f32;
+/// The weight of its own light, what has come together of it, and the light to be asked next.
+var<private> covered: vec3<f32>;
+var<private> local_sum: vec3<f32>;
+var<private> next_light: u32;
+/// What the light that is being asked sends back, and the share of it that the surfaces before let through.
+var<private> sent_back: vec3<f32>;
+var<private> passed: vec3<f32>;
+var<private> layers_passed: u32;
+
+/// Follows one ray from the eye, and everything behind it; or, of a ray that is to show its first surface only, as far as that.
+fn trace(eye: Ray, only_first: bool) -> Seen {
     counts.x += 1u;
     var seen = Seen(vec3<f32>(0.0), 1.0, Hit(FAR, NO_TRIANGLE, 0.0, 0.0));
-    waiting_count = 1u;
-    next_segment = Segment(eye.origin, 0.0, eye.direction, NO_TRIANGLE, vec3<f32>(1.0), 0u);
+    var segment = Segment(eye.origin, 0.0, eye.direction, NO_TRIANGLE, vec3<f32>(1.0), 0u);
+    var query = query_of(segment);
+    waiting_count = 0u;
     loop {
-        if waiting_count == 0u { break; }
-        let segment = pop_segment();
-        let query = query_of(segment);
-        let hit = search(query, false);
+        let hit = search(query, query.kind == OPAQUE);
         record(query, hit);
-        if hit.triangle == NO_TRIANGLE {
-            leave(&seen, segment);
+        var asks_lights = false;
+        if query.kind == LOOK {
+            if hit.triangle == NO_TRIANGLE {
+                leave(&seen, segment);
+            } else {
+                view(segment, hit);
+                let is_first = (segment.depth_layers & 255u) == 0u && seen.first.triangle == NO_TRIANGLE && view_alpha > 0.0;
+                if is_first { seen.first = hit; }
+                asks_lights = true;
+            }
         } else {
-            meet(&seen, segment, hit);
+            asks_lights = take_share(&query, hit);
         }
+        if only_first && (seen.first.triangle != NO_TRIANGLE || hit.triangle == NO_TRIANGLE) { break; }
+
+        // Ask the next light that would be seen, and when all have been asked go on behind the surface.
+        if asks_lights {
+            if !only_first && ask_light(segment, &query) { continue; }
+            seen.color += times3(covered, local_sum);
+            put_off(segment, only_first);
+        } else if query.kind != LOOK {
+            continue;
+        }
+
+        // Take up the ray that was put off last.
+        if waiting_count == 0u { break; }
+        segment = pop_segment();
+        query = query_of(segment);
     }
     return seen;
 }
@@ -83,57 +120,116 @@ fn leave(seen: ptr<function, Seen>, segment: Segment) {
     }
 }
 
-/// The ray meets a surface.
-fn meet(seen: ptr<function, Seen>, segment: Segment, hit: Hit) {
+/// The ray meets a surface: what it sees there, before any light is asked.
+fn view(segment: Segment, hit: Hit) {
+    let paint = paint_at(hit);
+    view_hit = hit;
+    view_surface = surface_at(hit, segment.direction);
+    view_terms = terms_of(paint, view_surface, segment.direction);
+    view_alpha = paint.alpha;
+    covered = scaled(segment.weight, paint.alpha);
+    local_sum = view_terms.emissive + times3(view_terms.ambient, scene.ambient);
+    let is_lit = any(covered != vec3<f32>(0.0)) && (any(view_terms.diffuse != vec3<f32>(0.0)) || view_terms.f90 != 0.0);
+    next_light = select(scene.light_count, 0u, is_lit);
+}
+
+/// 2^-64: what a light sends back below it is nothing (shade.rs).
+const LEAST_SENT: f32 = 5.42101086e-20;
+
+/// Finds the next light that sends something back if nothing is in its way, and makes `query` ask for its shadow; false when there is none
+/// left. Without shadows all of them are added up.
+fn ask_light(segment: Segment, query: ptr<function, Query>) -> bool {
+    let origin = offset_origin(view_surface, view_surface.facing);
+    loop {
+        if next_light >= scene.light_count { return false; }
+        let light = incoming(light_at(next_light), origin);
+        next_light += 1u;
+
+        // The light must shine on the viewer's side of both normals.
+        let cosine = dot3(light.direction, view_surface.shading);
+        if !light.arrives || cosine <= 0.0 || dot3(light.direction, view_surface.facing) <= 0.0 { continue; }
+
+        // Ask for its shadow only if it would be seen.
+        let share = reflected(view_terms, view_surface, light.direction, segment.direction);
+        sent_back = times3(light.irradiance, scaled(share, cosine));
+        if max_element(sent_back) < LEAST_SENT { continue; }
+        if !has_feature(FEATURE_SHADOWS) {
+            local_sum += sent_back;
+            continue;
+        }
+        counts.y += 1u;
+        passed = vec3<f32>(1.0);
+        layers_passed = 0u;
+        *query = Query(Ray(origin, clearance(view_surface), light.direction, light.reach), 0.0, NO_TRIANGLE, OPAQUE);
+        return true;
+    }
+    return false;
+}
+
+/// Takes the answer of a shadow ray. True when the light's share is known and added; else `query` asks for the next layer.
+fn take_share(query: ptr<function, Query>, hit: Hit) -> bool {
+    let is_hit = hit.triangle != NO_TRIANGLE;
+    if (*query).kind == OPAQUE {
+        // Nothing opaque is in the way: in most scenes the whole question.
+        if is_hit { return true; }
+        if !SEES_THROUGH {
+            local_sum += sent_back;
+            return true;
+        }
+        (*query).kind = LAYER;
+        return false;
+    }
+    if !is_hit {
+        local_sum += times3(sent_back, passed);
+        return true;
+    }
+
+    // Filter the light surface by surface, each once. Behind as many layers as a path may pass there is none.
+    let paint = paint_at(hit);
+    let through = scaled(paint.base, times(glass_share(paint), paint.alpha));
+    passed = times3(passed, through + vec3<f32>(1.0 - paint.alpha));
+    layers_passed += 1u;
+    if max_element(passed) < MIN_WEIGHT || layers_passed >= MAX_LAYERS { return true; }
+    (*query).after_t = hit.t;
+    (*query).after_triangle = hit.triangle;
+    (*query).ray.t_min = below(hit.t);
+    return false;
+}
+
+/// Puts off the rays behind the surface that `segment` has met.
+fn put_off(segment: Segment, only_first: bool) {
     let direction = segment.direction;
     let depth = segment.depth_layers & 255u;
     let layers = segment.depth_layers >> 8u;
-    let surface = surface_at(hit, direction);
-    let paint = paint_at(hit);
-    let terms = terms_of(paint, surface, direction);
-
-    // What covers nothing is not the surface that is seen.
-    if depth == 0u && (*seen).first.triangle == NO_TRIANGLE && paint.alpha > 0.0 { (*seen).first = hit; }
-    let covered = scaled(segment.weight, paint.alpha);
-    if any(covered != vec3<f32>(0.0)) { (*seen).color += times3(covered, local_light(hit, direction, surface, terms)); }
 
     // Go straight on past the uncovered part and through unbent glass.
     if SEES_THROUGH {
-        var straight = scaled(segment.weight, 1.0 - paint.alpha);
-        if !terms.is_bent { straight += times3(covered, terms.passed); }
+        var straight = scaled(segment.weight, 1.0 - view_alpha);
+        if !view_terms.is_bent { straight += times3(covered, view_terms.passed); }
         if layers < MAX_LAYERS {
-            counts.w += push_segment(
-                Segment(segment.origin, hit.t, direction, hit.triangle, straight, segment.depth_layers + 256u),
+            let after_t = view_hit.t;
+            let more = push_segment(
+                Segment(segment.origin, after_t, direction, view_hit.triangle, straight, segment.depth_layers + 256u),
             );
+            if !only_first { counts.w += more; }
         }
     }
-    if depth >= frame.max_depth { return; }
+    if depth >= frame.max_depth || only_first { return; }
 
     // Go through bent glass.
-    let after_t = clearance(surface);
+    let after_t = clearance(view_surface);
     let deeper = segment.depth_layers + 1u;
-    if HAS_GLASS && terms.is_bent {
-        let origin = offset_origin(surface, -surface.facing);
-        counts.w += push_segment(Segment(origin, after_t, terms.bent, NO_TRIANGLE, times3(covered, terms.passed), deeper));
+    if HAS_GLASS && view_terms.is_bent {
+        let origin = offset_origin(view_surface, -view_surface.facing);
+        let weight = times3(covered, view_terms.passed);
+        counts.w += push_segment(Segment(origin, after_t, view_terms.bent, NO_TRIANGLE, weight, deeper));
     }
 
     // Follow the mirror.
-    if (HAS_MIRRORS || HAS_GLASS) && any(terms.mirror != vec3<f32>(0.0)) {
-        let origin = offset_origin(surface, surface.facing);
-        let mirrored = reflect_at(direction, surface);
-        counts.z += push_segment(Segment(origin, after_t, mirrored, NO_TRIANGLE, times3(covered, terms.mirror), deeper));
+    if (HAS_MIRRORS || HAS_GLASS) && any(view_terms.mirror != vec3<f32>(0.0)) {
+        let origin = offset_origin(view_surface, view_surface.facing);
+        let mirrored = reflect_at(direction, view_surface);
+        let weight = times3(covered, view_terms.mirror);
+        counts.z += push_segment(Segment(origin, after_t, mirrored, NO_TRIANGLE, weight, deeper));
     }
-}
-
-/// The nearest surface that is seen along a ray from the eye and covers anything.
-fn first_seen(eye: Ray) -> Hit {
-    var query = Query(eye, 0.0, NO_TRIANGLE, LOOK);
-    for (var i = 0u; i <= MAX_LAYERS; i++) {
-        let hit = search(query, false);
-        if hit.triangle == NO_TRIANGLE || !SEES_THROUGH || paint_at(hit).alpha > 0.0 { return hit; }
-        query.after_t = hit.t;
-        query.after_triangle = hit.triangle;
-        query.ray.t_min = below(hit.t);
-    }
-    return Hit(FAR, NO_TRIANGLE, 0.0, 0.0);
 }

@@ -20,29 +20,32 @@ fn render_pixel(job: Job, pixel: vec2<u32>, place: u32, job_index: u32) {
     let camera = LocalCamera(frame.eye, frame.forward, frame.right, frame.up);
     let size = vec2<f32>(f32(frame.width), f32(frame.height));
     let corner = vec2<f32>(pixel);
+    let of_layers = frame.format == FORMAT_LAYERS;
     var sum = Seen(vec3<f32>(0.0), 0.0, Hit(FAR, NO_TRIANGLE, 0.0, 0.0));
-    if frame.samples <= 1u {
-        // Send one sample through the centre.
-        sum = trace(camera_ray(camera, corner + 0.5, size));
-    } else {
-        // Or add up many, as far as they go in this pass.
-        if job.first_sample > 0u { sum = load_sum(job.at_sums + place); }
-        let seed = pixel_seed(frame.seed_low, frame.seed_high, pixel.x, pixel.y);
-        for (var i = job.first_sample; i < job.end_sample; i++) {
-            let seen = trace(camera_ray(camera, corner + offset_in_pixel(i, frame.samples, seed), size));
+    if job.first_sample > 0u { sum = load_sum(job.at_sums + place); }
+    let seed = pixel_seed(frame.seed_low, frame.seed_high, pixel.x, pixel.y);
+    let is_last = job.end_sample == frame.samples;
+
+    // Add the samples up in their order. One goes through the centre; of many one more does, to find the surface that the layers show.
+    var end = job.end_sample;
+    if is_last && of_layers && frame.samples > 1u { end += 1u; }
+    for (var i = job.first_sample; i < end; i++) {
+        let only_first = i == frame.samples;
+        let offset = select(offset_in_pixel(i, frame.samples, seed), vec2<f32>(0.5), only_first);
+        let seen = trace(camera_ray(camera, corner + offset, size), only_first);
+        if !only_first {
             sum.color += seen.color;
             sum.alpha += seen.alpha;
         }
-        if job.end_sample < frame.samples {
-            store_sum(job.at_sums + place, sum);
-            add_counts(job_index);
-            return;
-        }
+        sum.first = seen.first;
+    }
+    if !is_last {
+        store_sum(job.at_sums + place, sum);
+        add_counts(job_index);
+        return;
+    }
+    if frame.samples > 1u {
         let share = quotient(1.0, f32(frame.samples));
-        if frame.format == FORMAT_LAYERS {
-            counts.x += 1u;
-            sum.first = first_seen(camera_ray(camera, corner + 0.5, size));
-        }
         sum.color *= share;
         sum.alpha *= share;
     }

@@ -129,33 +129,6 @@ fn highlight(cosine: f32, exponent: f32) -> f32 {
     return scale * pow_unit(max(cosine, 0.0), exponent);
 }
 
-/// What the surface sends back without further mirror or refracted rays: emission, ambient light, and each light in turn unless it is in
-/// shadow.
-fn local_light(hit: Hit, direction: vec3<f32>, surface: Surface, terms: Terms) -> vec3<f32> {
-    var sum = terms.emissive + times3(terms.ambient, scene.ambient);
-    if !any(terms.diffuse != vec3<f32>(0.0)) && terms.f90 == 0.0 { return sum; }
-    let origin = offset_origin(surface, surface.facing);
-    for (var i = 0u; i < scene.light_count; i++) {
-        // The light must shine on the viewer's side of both normals.
-        let light = incoming(light_at(i), origin);
-        let cosine = dot3(light.direction, surface.shading);
-        if !light.arrives || cosine <= 0.0 || dot3(light.direction, surface.facing) <= 0.0 { continue; }
-
-        // Ask for its shadow only if it would be seen.
-        let share = reflected(terms, surface, light.direction, direction);
-        let sent_back = times3(light.irradiance, scaled(share, cosine));
-        if !any(sent_back != vec3<f32>(0.0)) { continue; }
-        if has_feature(FEATURE_SHADOWS) {
-            counts.y += 1u;
-            let ray = Ray(origin, clearance(surface), light.direction, light.reach);
-            sum += times3(sent_back, transmittance(ray));
-        } else {
-            sum += sent_back;
-        }
-    }
-    return sum;
-}
-
 /// Share of the light from `to_light` that goes to the viewer.
 fn reflected(terms: Terms, surface: Surface, to_light: vec3<f32>, direction: vec3<f32>) -> vec3<f32> {
     let halfway = normalized_or(to_light - direction, surface.shading);
@@ -163,33 +136,4 @@ fn reflected(terms: Terms, surface: Surface, to_light: vec3<f32>, direction: vec
     var lobe = 0.0;
     if terms.f90 > 0.0 { lobe = highlight(dot3(halfway, surface.shading), terms.exponent); }
     return scaled(times3(terms.diffuse, vec3<f32>(1.0) - fresnel), FRAC_1_PI) + scaled(fresnel, lobe);
-}
-
-/// The share of a light that arrives along `ray`: `transmittance` and `filtered` of light.rs.
-fn transmittance(ray: Ray) -> vec3<f32> {
-    // Look for anything opaque: in most scenes the whole question.
-    let query = Query(ray, 0.0, NO_TRIANGLE, OPAQUE);
-    let blocker = search(query, true);
-    record(query, blocker);
-    if blocker.triangle != NO_TRIANGLE { return vec3<f32>(0.0); }
-    var passed = vec3<f32>(1.0);
-    if !SEES_THROUGH { return passed; }
-
-    // Filter the light surface by surface, each once.
-    var layer = Query(ray, 0.0, NO_TRIANGLE, LAYER);
-    for (var i = 0u; i < MAX_LAYERS; i++) {
-        let hit = search(layer, false);
-        record(layer, hit);
-        if hit.triangle == NO_TRIANGLE { return passed; }
-        let paint = paint_at(hit);
-        let through = scaled(paint.base, times(glass_share(paint), paint.alpha));
-        passed = times3(passed, through + vec3<f32>(1.0 - paint.alpha));
-        if max_element(passed) < MIN_WEIGHT { return vec3<f32>(0.0); }
-        layer.after_t = hit.t;
-        layer.after_triangle = hit.triangle;
-        layer.ray.t_min = below(hit.t);
-    }
-
-    // Behind as many layers as a path may pass there is no light.
-    return vec3<f32>(0.0);
 }

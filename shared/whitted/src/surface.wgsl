@@ -129,24 +129,30 @@ fn paint_at(hit: Hit) -> Paint {
         paint.alpha *= color.w;
     }
 
-    // Multiply by the textures.
+    // Multiply by the textures. (A loop, so that the kernel holds one look-up and not four.)
     if HAS_UVS {
         let uv = uv_at(indices, hit);
-        if m.base_texture != NO_TEXTURE {
-            let texel = lookup(m.base_texture, uv, CODING_SRGB);
-            paint.base *= texel.xyz;
-            paint.alpha *= texel.w;
-        }
-        if m.metallic_roughness_texture != NO_TEXTURE {
-            let texel = lookup(m.metallic_roughness_texture, uv, CODING_LINEAR);
-            paint.roughness *= texel.y;
-            paint.metallic *= texel.z;
-        }
-        if m.emissive_texture != NO_TEXTURE {
-            paint.emissive *= lookup(m.emissive_texture, uv, CODING_SRGB).xyz;
-        }
-        if m.transmission_texture != NO_TEXTURE {
-            paint.transmission *= lookup(m.transmission_texture, uv, CODING_LINEAR).x;
+        for (var slot = 0u; slot < 4u; slot++) {
+            let is_color = slot == 0u || slot == 2u;
+            let image = select(
+                select(m.base_texture, m.metallic_roughness_texture, slot == 1u),
+                select(m.emissive_texture, m.transmission_texture, slot == 3u),
+                slot >= 2u,
+            );
+            if image == NO_TEXTURE { continue; }
+            let texel = lookup(image, uv, select(CODING_LINEAR, CODING_SRGB, is_color));
+            switch slot {
+                case 0u: {
+                    paint.base *= texel.xyz;
+                    paint.alpha *= texel.w;
+                }
+                case 1u: {
+                    paint.roughness *= texel.y;
+                    paint.metallic *= texel.z;
+                }
+                case 2u: { paint.emissive *= texel.xyz; }
+                default: { paint.transmission *= texel.x; }
+            }
         }
     }
 

@@ -58,7 +58,7 @@ fn probe(@builtin(global_invocation_id) id: vec3<u32>) {
     let camera = LocalCamera(frame.eye, frame.forward, frame.right, frame.up);
     let size = vec2<f32>(f32(frame.width), f32(frame.height));
     let seed = pixel_seed(frame.seed_low, frame.seed_high, pixel.x, pixel.y);
-    let seen = trace(camera_ray(camera, vec2<f32>(pixel) + offset_in_pixel(sample, frame.samples, seed), size));
+    let seen = trace(camera_ray(camera, vec2<f32>(pixel) + offset_in_pixel(sample, frame.samples, seed), size), false);
     probe_output[start] = probe_count;
     probe_output[start + 1u] = probe_hash;
     // What is seen must not be optimised away with the rays behind it.
