@@ -40,8 +40,8 @@ impl Default for GpuOptions {
     }
 }
 
-/// Columns and rows of a work-group: 64 rays that begin beside each other, as in the paper.
-pub(super) const GROUP: [u32; 2] = [8, 8];
+/// Columns and rows of a work-group (pixel.wgsl): 64 rays that begin beside each other, as in the paper.
+pub(super) const GROUP_SIDE: u32 = 8;
 
 /// Everything that decides about a kernel's text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -93,8 +93,6 @@ pub(super) const SLOT_BINDING: u32 = 6;
 /// The text of a kernel: constants, bindings, and the rooms' files in the order of their doors.
 pub(super) fn text(key: &KernelKey) -> String {
     let mut text = key.variant.constants(key.depth);
-    let [width, height] = GROUP;
-    let _ = writeln!(text, "const GROUP_WIDTH: u32 = {width}u;\nconst GROUP_HEIGHT: u32 = {height}u;");
     text += "@group(0) @binding(0) var<uniform> scene: SceneInfo;\n\
              @group(0) @binding(1) var<uniform> frame: FrameInfo;\n\
              @group(0) @binding(2) var<storage, read> jobs: array<Job>;\n\

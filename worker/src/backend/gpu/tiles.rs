@@ -3,7 +3,7 @@
 //! Two submissions are under way at a time: while the pixels of one are read back and returned, the device computes the next. Nobody waits
 //! for the device between tiles.
 
-use super::kernel::{GROUP, Purpose, SLOT_BINDING};
+use super::kernel::{GROUP_SIDE, Purpose, SLOT_BINDING};
 use super::pass::{Cut, Piece};
 use super::scene::Kernel;
 use super::{GpuError, GpuScene};
@@ -203,7 +203,7 @@ impl Tiles {
             parts.push(Part { tile: self.first + index as u64, piece, at_pixels: words, is_last });
             *pieces += 1;
             samples += pixels * u64::from(end_sample - first_sample);
-            groups = rect.width.div_ceil(GROUP[0]).saturating_mul(rows.div_ceil(GROUP[1])).max(groups);
+            groups = rect.width.div_ceil(GROUP_SIDE).saturating_mul(rows.div_ceil(GROUP_SIDE)).max(groups);
             if is_last {
                 words += pixels * words_each;
             }
