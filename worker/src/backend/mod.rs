@@ -1,9 +1,13 @@
 //! What renders: the CPU, or a GPU by way of wgpu.
 
+mod calibrate;
 pub(crate) mod cpu;
 pub mod gpu;
 
+use gpu::{Gpu, GpuError, GpuOptions, GpuScene};
 use std::fmt;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 use tessera_wire::PackRefusal;
@@ -89,52 +93,182 @@ pub enum BackendError {
 /// What renders, opened once for the life of a worker. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Backend {
+    inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+struct Inner {
     kernel: Kernel,
+    engine: Engine,
     speed: u64,
     note: String,
+    /// Whether the CPU may take over when the GPU fails.
+    is_auto: bool,
+    has_failed: AtomicBool,
 }
+
+#[derive(Debug)]
+pub(crate) enum Engine {
+    Cpu,
+    Gpu(GpuEngine),
+}
+
+/// A GPU and the scene that it holds.
+pub(crate) struct GpuEngine {
+    gpu: Gpu,
+    scene: Mutex<Option<Arc<GpuScene>>>,
+}
+
+impl fmt::Debug for GpuEngine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.gpu.fmt(f)
+    }
+}
+
+/// Tiles that a GPU is handed before it has finished any: enough that one submission can be computed while the one before is read back.
+const GPU_TILES_AHEAD: usize = 64;
 
 impl Backend {
     /// Opens what `config` asks for and measures it on a calibration tile.
     pub fn open(config: &BackendConfig) -> Result<Self, BackendError> {
+        let wanted = config.gpu.as_deref();
         match config.choice {
-            BackendChoice::Gpu => Err(BackendError::NoAdapter),
-            BackendChoice::Auto | BackendChoice::Cpu => Ok(Self {
-                kernel: config.kernel,
-                speed: 1_000_000,
-                note: "rendering on the CPU: no GPU was found".into(),
-            }),
+            BackendChoice::Cpu => Ok(Self::cpu(config, "--backend cpu".into())),
+            BackendChoice::Gpu => {
+                let (engine, speed) = open_gpu(wanted)?;
+                let note = format!("rendering on the GPU {}, {}", described(&engine.gpu), rays(speed));
+                Ok(Self::new(config, Engine::Gpu(engine), speed, note))
+            }
+            BackendChoice::Auto => Self::auto(config, wanted),
         }
+    }
+
+    /// The GPU where there is a real one (or `wanted` names one) and it is the faster.
+    fn auto(config: &BackendConfig, wanted: Option<&str>) -> Result<Self, BackendError> {
+        let adapters = adapters();
+        let real = adapters.iter().find(|a| a.kind != "software" && a.unusable.is_none());
+        let index = real.map(|adapter| adapter.index.to_string());
+        let Some(wanted) = wanted.or(index.as_deref()) else {
+            return Ok(Self::cpu(
+                config,
+                match adapters.first() {
+                    None => "no GPU was found".into(),
+                    Some(adapter) => match &adapter.unusable {
+                        Some(reason) => format!("the GPU {} cannot be used: {reason}", adapter.name),
+                        None => format!("{} is no GPU but a software driver", adapter.name),
+                    },
+                },
+            ));
+        };
+        let (engine, speed) = match open_gpu(Some(wanted)) {
+            Ok(opened) => opened,
+            Err(BackendError::Unusable { name, reason }) => {
+                return Ok(Self::cpu(config, format!("the GPU {name} cannot be used: {reason}")));
+            }
+            Err(error) => return Err(error),
+        };
+        let cpu_speed = calibrate::cpu(config.kernel);
+        let name = described(&engine.gpu);
+        if cpu_speed > speed {
+            let why = format!("it is faster ({}) than the GPU {name} ({})", rays(cpu_speed), rays(speed));
+            return Ok(Self::new(config, Engine::Cpu, cpu_speed, format!("rendering on the CPU: {why}")));
+        }
+        let note = format!("rendering on the GPU {name}: {}, the CPU {}", rays(speed), rays(cpu_speed));
+        Ok(Self::new(config, Engine::Gpu(engine), speed, note))
+    }
+
+    fn cpu(config: &BackendConfig, why: String) -> Self {
+        let speed = calibrate::cpu(config.kernel);
+        let note = format!("rendering on the CPU ({}, {}): {why}", config.kernel.name(), rays(speed));
+        Self::new(config, Engine::Cpu, speed, note)
+    }
+
+    fn new(config: &BackendConfig, engine: Engine, speed: u64, note: String) -> Self {
+        let inner = Inner {
+            kernel: config.kernel,
+            engine,
+            speed,
+            note,
+            is_auto: config.choice == BackendChoice::Auto,
+            has_failed: AtomicBool::new(false),
+        };
+        Self { inner: Arc::new(inner) }
     }
 
     /// `cpu` or `gpu`, as `Hello` says it.
     pub fn name(&self) -> &'static str {
-        cpu::NAME
+        match self.inner.engine {
+            Engine::Cpu => cpu::NAME,
+            Engine::Gpu(_) => "gpu",
+        }
     }
 
     /// What names its arithmetic: frames of one class are equal bit for bit. `cpu-N`, or `gpu-N` with adapter and driver.
     pub fn numeric_class(&self) -> &str {
-        tessera_whitted::NUMERIC_CLASS
+        match &self.inner.engine {
+            Engine::Cpu => tessera_whitted::NUMERIC_CLASS,
+            Engine::Gpu(engine) => engine.gpu.numeric_class(),
+        }
     }
 
-    /// Rays a second on the calibration tile, of all threads together; at least 1.
+    /// Rays a second on the calibration tile, of all cores together; at least 1.
     pub fn speed(&self) -> u64 {
-        self.speed
+        self.inner.speed
     }
 
     /// One line: what renders, and why that was chosen.
     pub fn note(&self) -> &str {
-        &self.note
+        &self.inner.note
     }
 
-    /// Whether it can hold `pack`.
-    pub fn check_pack(&self, _pack: &Pack) -> Result<(), PackRefusal> {
-        Ok(())
+    /// Whether it can hold `pack`; a GPU takes it into its memory here.
+    pub fn check_pack(&self, pack: &Pack) -> Result<(), PackRefusal> {
+        let Engine::Gpu(engine) = &self.inner.engine else { return Ok(()) };
+        engine.scene(pack).map(|_| ()).map_err(|error| match error {
+            GpuError::CannotHold { needs, has, what } => PackRefusal::CannotHold {
+                needs,
+                has,
+                what: format!("the GPU {}: {what}", engine.gpu.adapter().name),
+            },
+            error => PackRefusal::Transfer { detail: error.to_string() },
+        })
+    }
+
+    /// How many tiles it is handed before it has finished any; at least 1.
+    pub fn tiles_ahead(&self) -> usize {
+        match self.inner.engine {
+            Engine::Cpu => cpu::TILES_AHEAD,
+            Engine::Gpu(_) => GPU_TILES_AHEAD,
+        }
+    }
+
+    /// Notes that the GPU has failed in the middle of work.
+    pub(crate) fn fail(&self) {
+        self.inner.has_failed.store(true, Ordering::Relaxed);
+    }
+
+    /// What to go on with: the same, or the CPU after a GPU has failed that nobody had insisted on. A picture is never finished by
+    /// another backend than it was begun with: the worker leaves first, and joins again as another class.
+    pub fn or_fallback(&self) -> Self {
+        if !(self.inner.has_failed.load(Ordering::Relaxed) && self.inner.is_auto) {
+            return self.clone();
+        }
+        let config = BackendConfig { choice: BackendChoice::Cpu, gpu: None, kernel: self.inner.kernel };
+        Self::cpu(&config, "the GPU has failed".into())
+    }
+
+    /// Whether [`Backend::or_fallback`] has something else to offer.
+    pub(crate) fn has_fallback(&self) -> bool {
+        self.inner.has_failed.load(Ordering::Relaxed) && self.inner.is_auto
     }
 
     /// How the CPU traces rays, if that is what renders.
     pub(crate) fn kernel(&self) -> Kernel {
-        self.kernel
+        self.inner.kernel
+    }
+
+    pub(crate) fn engine(&self) -> &Engine {
+        &self.inner.engine
     }
 }
 
@@ -142,4 +276,36 @@ impl fmt::Display for Backend {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
     }
+}
+
+impl GpuEngine {
+    /// `pack` in the GPU's memory, where it stays until another one is asked for.
+    pub(crate) fn scene(&self, pack: &Pack) -> Result<Arc<GpuScene>, GpuError> {
+        let mut held = self.scene.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(scene) = held.as_ref().filter(|scene| scene.pack().id() == pack.id()) {
+            return Ok(scene.clone());
+        }
+        // What was held makes room first.
+        *held = None;
+        let scene = Arc::new(GpuScene::load(&self.gpu, pack, GpuOptions::default())?);
+        *held = Some(scene.clone());
+        Ok(scene)
+    }
+}
+
+fn open_gpu(wanted: Option<&str>) -> Result<(GpuEngine, u64), BackendError> {
+    let gpu = Gpu::open(wanted, GpuOptions::default().f64)?;
+    let speed = calibrate::gpu(&gpu).map_err(|error| BackendError::Unusable {
+        name: gpu.adapter().name.clone(),
+        reason: error.to_string(),
+    })?;
+    Ok((GpuEngine { gpu, scene: Mutex::new(None) }, speed))
+}
+
+fn described(gpu: &Gpu) -> String {
+    format!("{} ({})", gpu.adapter().name, gpu.adapter().driver)
+}
+
+fn rays(a_second: u64) -> String {
+    format!("{:.3} million rays a second", a_second as f64 / 1e6)
 }
