@@ -45,6 +45,9 @@ pub struct RenderReport {
     pub spp: u32,
     /// Reflections and refractions a path may take.
     pub depth: u32,
+    /// Why local workers render with what they do, where one choice was made for all; each worker has its own word too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub backend_note: Option<String>,
     /// How local workers trace rays on a CPU: `scalar`, or `8-wide` and the instructions.
     pub kernel: &'static str,
     /// The view.
@@ -206,6 +209,8 @@ pub struct RenderFacts<'a> {
     pub job: &'a FrameJob,
     /// The view.
     pub camera: CameraReport,
+    /// Why what renders was chosen for all local workers.
+    pub backend_note: Option<String>,
     /// How local workers traced rays.
     pub kernel: &'static str,
     /// The file that was written.
@@ -221,7 +226,7 @@ pub struct RenderFacts<'a> {
 impl RenderReport {
     /// Puts together what the parts of a render know.
     pub fn new(facts: RenderFacts<'_>, result: &FrameResult) -> Self {
-        let RenderFacts { prepared, job, camera, kernel, out, hash, start, write } = facts;
+        let RenderFacts { prepared, job, camera, backend_note, kernel, out, hash, start, write } = facts;
         let traffic = &result.traffic;
         let udp = traffic.udp_sent + traffic.udp_received;
         Self {
@@ -244,6 +249,7 @@ impl RenderReport {
             balance: job.balance.name(),
             spp: job.samples,
             depth: job.depth,
+            backend_note,
             kernel,
             camera,
             workers: result

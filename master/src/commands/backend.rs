@@ -30,6 +30,20 @@ impl BackendArgs {
         self.backend == BackendFlag::Gpu
     }
 
+    /// Whether the faster one is to be chosen.
+    pub fn is_auto(&self) -> bool {
+        self.backend == BackendFlag::Auto
+    }
+
+    /// Asks for what `opened` is from now on.
+    pub fn settle(&mut self, opened: &Backend) {
+        if opened.name() == "gpu" {
+            self.backend = BackendFlag::Gpu;
+        } else {
+            (self.backend, self.gpu) = (BackendFlag::Cpu, None);
+        }
+    }
+
     /// Checks what can be checked without looking for a device.
     pub fn check(&self) -> Result<(), CommandError> {
         match (&self.gpu, self.backend) {
@@ -140,6 +154,14 @@ mod tests {
             let first = parse(line.split_whitespace().map(Into::into).collect());
             assert_eq!(parse(first.to_args()), first, "{line}");
         }
+    }
+
+    #[test]
+    fn what_is_settled_can_be_opened_again() {
+        let mut args = BackendArgs { gpu: Some("none of this name".into()), ..BackendArgs::default() };
+        let cpu = BackendArgs { backend: BackendFlag::Cpu, ..BackendArgs::default() };
+        args.settle(&cpu.open().expect("there is a CPU"));
+        assert_eq!(args, cpu);
     }
 
     #[test]

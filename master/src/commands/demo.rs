@@ -36,7 +36,7 @@ pub struct DemoArgs {
 pub fn run(args: DemoArgs, progress: &Progress) -> Result<(), CommandError> {
     let crew = Crew::Local(args.frame.local_crew(args.workers));
     let plan = Plan::check(&args.out, None, crew, &args.frame, &args.packing)?;
-    let plan = plan.with_gpu(progress)?;
+    let plan = plan.with_backend(progress)?;
     let prepared = {
         let _bar = progress.step("preparing the built-in scene");
         let start = Instant::now();

@@ -133,7 +133,7 @@ pub fn run(args: RenderArgs, progress: &Progress) -> Result<(), CommandError> {
         None => Crew::Local(frame.local_crew(workers)),
     };
     let plan = Plan::check(&out, Some(&scene.scene), crew, &frame, &scene.packing)?;
-    let plan = plan.with_gpu(progress)?;
+    let plan = plan.with_backend(progress)?;
     let prepared = prepare_scene(&scene.scene, &scene.packing, progress)?;
     plan.render(&prepared, progress)
 }
@@ -186,9 +186,9 @@ impl<'a> Plan<'a> {
         Ok(Self { out, report, format, features, crew, args })
     }
 
-    /// Finds the GPU if one was asked for (see [`Crew::find_gpu`]).
-    pub fn with_gpu(mut self, progress: &Progress) -> Result<Self, CommandError> {
-        self.crew.find_gpu(progress)?;
+    /// Settles what renders (see [`Crew::settle_backend`]).
+    pub fn with_backend(mut self, progress: &Progress) -> Result<Self, CommandError> {
+        self.crew.settle_backend(progress)?;
         Ok(self)
     }
 
@@ -221,6 +221,10 @@ impl<'a> Plan<'a> {
             prepared,
             job: &job,
             camera: CameraReport::new(name, &pose),
+            backend_note: match &self.crew {
+                Crew::Local(crew) => crew.note.clone(),
+                Crew::Master(_) => None,
+            },
             kernel: args.backend.kernel.kernel().name(),
             out: self.out.path().to_owned(),
             hash: frame.image.hash(),
@@ -238,7 +242,7 @@ impl<'a> Plan<'a> {
 impl FrameArgs {
     /// `workers` processes of this machine, or none and this one.
     pub fn local_crew(&self, workers: u32) -> LocalCrew {
-        LocalCrew { workers, threads: self.threads, backend: self.backend.clone(), opened: None }
+        LocalCrew { workers, threads: self.threads, backend: self.backend.clone(), opened: None, note: None }
     }
 
     /// The view that was asked for, and its name in the scene if it has one.

@@ -95,24 +95,36 @@ pub struct LocalCrew {
     pub backend: BackendArgs,
     /// That, where it is open in this process already.
     pub opened: Option<Backend>,
+    /// Why it was chosen, where this process has chosen for all of them.
+    pub note: Option<String>,
 }
 
 impl Crew {
-    /// Looks for the GPU if one was asked for, before any work that is in vain without it. Of many worker processes each would have to
-    /// say that there is none.
-    pub fn find_gpu(&mut self, progress: &Progress) -> Result<(), CommandError> {
-        match self {
-            Self::Local(crew) if crew.backend.needs_gpu() => {
-                let _bar = progress.step("looking for the GPU");
-                let opened = crew.backend.open()?;
-                // Processes open it themselves, and this one leaves them its memory.
-                crew.opened = Some(opened).filter(|_| crew.workers == 0);
-                Ok(())
-            }
-            Self::Local(crew) => crew.backend.check(),
-            Self::Master(_) => Ok(()),
+    /// Settles what renders, before any work that is in vain without the GPU that was asked for: of many worker processes each would
+    /// have to say that there is none, and those that measure at the same time may choose differently, so that some would idle.
+    pub fn settle_backend(&mut self, progress: &Progress) -> Result<(), CommandError> {
+        let Self::Local(crew) = self else { return Ok(()) };
+        crew.backend.check()?;
+        let chooses = crew.backend.is_auto() && crew.workers > 1 && has_gpu();
+        if !crew.backend.needs_gpu() && !chooses {
+            return Ok(());
         }
+        let _bar = progress.step("looking for the GPU");
+        let opened = crew.backend.open()?;
+        if chooses {
+            tracing::info!("{}", opened.note());
+            crew.note = Some(opened.note().to_owned());
+            crew.backend.settle(&opened);
+        }
+        // Processes open it themselves, and this one leaves them its memory.
+        crew.opened = Some(opened).filter(|_| crew.workers == 0);
+        Ok(())
     }
+}
+
+/// Whether there is a GPU that `auto` might take.
+fn has_gpu() -> bool {
+    tessera_worker::adapters().iter().any(|adapter| adapter.unusable.is_none() && adapter.kind != "software")
 }
 
 /// A frame, and the time that starting the workers took.
