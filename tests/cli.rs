@@ -5,9 +5,10 @@ use std::fs;
 
 #[test]
 fn help_is_a_manual() {
-    let commands: [&[&str]; 11] = [
+    let commands: [&[&str]; 12] = [
         &[],
         &["demo"],
+        &["doctor"],
         &["master"],
         &["worker"],
         &["render"],
@@ -218,6 +219,8 @@ fn reports_are_one_json_object_with_the_promised_keys() {
             "image_hash",
             "pack_id",
             "numeric_class",
+            "mix",
+            "idle_workers",
             "size",
             "tile",
             "balance",
@@ -236,7 +239,10 @@ fn reports_are_one_json_object_with_the_promised_keys() {
             "dropped_tiles",
         ],
     );
-    has(&render["workers"][0], &["name", "tiles", "render_ms", "bytes_returned"]);
+    has(
+        &render["workers"][0],
+        &["name", "backend", "numeric_class", "backend_note", "tiles", "render_ms", "bytes_returned"],
+    );
     assert_eq!(render["size"], serde_json::json!([20, 10]));
     assert_eq!(render["rays"]["primary"], 200);
     assert_eq!(render["balance"], "dynamic");

@@ -12,7 +12,8 @@ use tessera_master::{
 use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
 use tessera_wire::{Features, FrameError, LocalTicket, PackRefusal, Refusal};
 use tessera_worker::{
-    JoinError, Kernel, NUMERIC_CLASS, PackCache, Stop, WorkerConfig, WorkerError, WorkerPipes,
+    Backend, BackendChoice, BackendConfig, JoinError, NUMERIC_CLASS, PackCache, Stop, WorkerConfig,
+    WorkerError, WorkerPipes,
 };
 use tokio::task::JoinHandle;
 
@@ -57,11 +58,18 @@ pub fn job(pack: &Pack, balance: Balance) -> FrameJob {
         features: Features::default(),
         format: PixelFormat::Layers,
         balance,
+        mix: false,
     }
 }
 
+/// The CPU: what is compared bit for bit must not depend on the machine's devices.
+pub fn cpu() -> Backend {
+    let config = BackendConfig { choice: BackendChoice::Cpu, ..BackendConfig::default() };
+    Backend::open(&config).expect("there is a CPU")
+}
+
 pub fn config(name: &str, memory: Option<u64>) -> WorkerConfig {
-    WorkerConfig { name: name.into(), threads: 1, kernel: Kernel::auto(), memory, cache: None }
+    WorkerConfig { name: name.into(), threads: 1, backend: cpu(), memory, cache: None }
 }
 
 /// A worker over memory.
@@ -85,7 +93,7 @@ pub fn in_memory(count: usize) -> (Workers, Vec<Served>) {
 /// A worker that nobody asks to stop.
 pub async fn serve_ticket(ticket: LocalTicket) -> Result<(), WorkerError> {
     let (_nobody, stop) = tokio::sync::watch::channel(Stop::No);
-    tessera_worker::serve_ticket(ticket, Kernel::auto(), stop).await
+    tessera_worker::serve_ticket(ticket, cpu(), stop).await
 }
 
 /// `count` workers over QUIC on loopback.
@@ -111,7 +119,8 @@ async fn render(cluster: &mut Cluster, job: &FrameJob) -> FrameResult {
     let tiles = job.width.div_ceil(job.tile) * job.height.div_ceil(job.tile);
     assert_eq!(last, (tiles, tiles));
     assert_eq!(result.workers.iter().map(|w| w.tiles).sum::<u32>(), tiles);
-    assert_eq!(result.numeric_class, NUMERIC_CLASS);
+    assert_eq!(result.numeric_class(), Some(NUMERIC_CLASS));
+    assert!(result.differences.is_empty() && result.idle == 0);
     let returned: u64 = result.workers.iter().map(|w| w.bytes_returned).sum();
     assert!(returned > result.image.data().len() as u64 && result.traffic.received > returned);
     assert_eq!(result.rays.primary, u64::from(job.width) * u64::from(job.height));
@@ -165,7 +174,7 @@ fn processes(count: u32, args: &[&str]) -> Workers {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn worker_processes_join_render_and_end() {
     let pack = pack();
-    let workers = processes(3, &["worker", "--ticket"]);
+    let workers = processes(3, &["worker", "--ticket", "--backend", "cpu"]);
     let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("they join");
     cluster.load(&pack, |_| ()).await.expect("they take the pack");
     let dynamic = render(&mut cluster, &job(&pack, Balance::Dynamic)).await;

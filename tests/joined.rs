@@ -20,7 +20,7 @@ fn listening() -> (Cluster, JoinString) {
 
 /// A worker process, with what is said of its cache.
 fn worker(join: &str, name: &str, cache: &[&str]) -> Live {
-    let args = ["worker", "--join", join, "--name", name, "--threads", "1", "-v"];
+    let args = ["worker", "--join", join, "--name", name, "--threads", "1", "--backend", "cpu", "-v"];
     Tessera::new(args).args(cache).start()
 }
 
@@ -162,8 +162,13 @@ fn a_worker_that_finds_nobody_gives_up_at_once_or_when_its_time_is_over() {
     drop(socket);
     let nobody = JoinString { port, ..join_string() };
     let nobody = nobody.to_string();
-    let wrong = ["worker", "--join", &nobody, "--no-cache"];
-    Tessera::new(wrong).run().fails(1, &["no master at 127.0.0.1"]);
+    let wrong = ["worker", "--join", &nobody, "--no-cache", "--backend", "cpu"];
+    let outcome = Tessera::new(wrong).run();
+    assert_eq!(outcome.code, Some(1), "{outcome:?}");
+    let lines: Vec<_> = outcome.stderr.lines().collect();
+    // What renders is said when the worker starts; then it fails in one line.
+    assert!(lines.len() == 2 && lines[0].contains("rendering on the CPU"), "{outcome:?}");
+    assert!(lines[1].starts_with("tessera: error: no master at 127.0.0.1"), "{outcome:?}");
     let outcome = Tessera::new(wrong).args(["--retry-for", "8s"]).run();
     assert_eq!(outcome.code, Some(1), "{outcome:?}");
     // Silence is noticed after 5 s.

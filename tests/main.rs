@@ -3,6 +3,8 @@
 #[path = "../shared/kdtree/tests/common/mod.rs"]
 mod kinds;
 
+#[cfg(target_os = "linux")]
+mod backends;
 mod bad_input;
 mod bench;
 mod cli;

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 use tessera_master::{
     Balance, Client, ClientError, Cluster, ClusterConfig, FrameJob, FrameResult, ListenConfig, Pipes,
-    PixelFormat, Progress, Service, Workers,
+    PixelFormat, Progress, Service, ServiceConfig, Workers,
 };
 use tessera_pack::Pack;
 use tessera_trust::Identity;
@@ -35,8 +35,8 @@ struct Master {
 fn master(pack_bytes: u64) -> Master {
     let listen = (Ipv4Addr::LOCALHOST, 0).into();
     let at = ListenConfig { listen, advertise: None, token_ttl: Some(PATIENCE) };
-    let (service, join) =
-        Service::listen(Some(NUMERIC_CLASS.into()), at, pack_bytes).expect("a port is free");
+    let config = ServiceConfig { pack_bytes, ..ServiceConfig::default() };
+    let (service, join) = Service::listen(config, at).expect("a port is free");
     let (stop, stopped) = oneshot::channel::<()>();
     let served = tokio::spawn(service.run(async { _ = stopped.await }));
     Master { join, stop: Some(stop), served }
@@ -116,7 +116,7 @@ async fn clients_get_the_image_that_a_local_render_makes_and_send_a_pack_once() 
             assert_eq!((result.rays, result.pack), (local.rays, local.pack));
             assert_eq!(result.workers.iter().map(|w| w.tiles).sum::<u32>(), 20);
             assert!(tiles.1 == 20 && result.traffic.udp_received > result.image.data().len() as u64);
-            assert_eq!(result.numeric_class, NUMERIC_CLASS);
+            assert_eq!(result.numeric_class(), Some(NUMERIC_CLASS));
         }
         closer.close(false).await;
     }
@@ -299,14 +299,14 @@ async fn packs_and_frames_that_cannot_be_are_refused_and_do_no_harm() {
         };
         assert!(matches!(reason, FrameFailure::Invalid { .. }), "{reason:?}");
     };
-    raw.write(&FromClient::Render { frame, balance: Balance::Static }).await;
+    raw.write(&FromClient::Render { frame, balance: Balance::Static, mix: false }).await;
     invalid(raw.read().await);
     let own = PackId(small.id().0);
     raw.write(&offer(own, 1)).await;
     assert_eq!(raw.read().await, ToClient::PackNeed { pack: own, have: true });
     assert_eq!(raw.read().await, ToClient::PackReady { pack: own });
     let wild = tessera_wire::Frame { pack: own, tile: 0, ..frame };
-    raw.write(&FromClient::Render { frame: wild, balance: Balance::Static }).await;
+    raw.write(&FromClient::Render { frame: wild, balance: Balance::Static, mix: false }).await;
     invalid(raw.read().await);
     client.render(&good, |_| ()).await.expect("nor does a stranger's nonsense");
     master.end().await;

@@ -412,6 +412,8 @@ impl World {
                 threads: 1,
                 backend: "cpu".into(),
                 numeric_class: "sim".into(),
+                speed: 0,
+                note: String::new(),
             }),
         };
         self.coordinator.connected(self.now);
@@ -720,6 +722,7 @@ impl World {
             features: Features::default(),
             format: PixelFormat::Rgba8,
             balance: Balance::ALL[self.below(4) as usize],
+            mix: false,
         }
     }
 

@@ -104,9 +104,15 @@ mod tests {
     const END: Duration = Duration::from_secs(3600);
 
     fn hello(token: Token) -> Hello {
-        let abilities =
-            Abilities { memory: 0, threads: 1, backend: "cpu".into(), numeric_class: "cpu-1".into() };
-        Hello { versions: vec![2], token, name: "w".into(), role: Role::Worker(abilities) }
+        let abilities = Abilities {
+            memory: 0,
+            threads: 1,
+            backend: "cpu".into(),
+            numeric_class: "cpu-1".into(),
+            speed: 0,
+            note: String::new(),
+        };
+        Hello { versions: vec![3], token, name: "w".into(), role: Role::Worker(abilities) }
     }
 
     fn peer(number: u32) -> Fingerprint {

@@ -1,7 +1,7 @@
 //! A client of a master elsewhere: what [`crate::Cluster`] is to workers of its own.
 
 use crate::{
-    FrameBuffer, FrameJob, FrameResult, Progress, Timings, Traffic, WorkerReport,
+    ClassDifference, ClassPart, FrameBuffer, FrameJob, FrameResult, Progress, Timings, Traffic, WorkerReport,
     image::NoRoom,
     transport::{PipeError, Pipes, read_message, reason, write_message, write_pack},
 };
@@ -124,7 +124,7 @@ impl Client {
         let grid = frame
             .check()
             .map_err(|e| ClientError::Failed(FrameFailure::Invalid { detail: e.to_string() }))?;
-        self.write(FromClient::Render { frame, balance: job.balance }).await?;
+        self.write(FromClient::Render { frame, balance: job.balance, mix: job.mix }).await?;
         loop {
             match self.read().await? {
                 ToClient::Waiting { ahead } => progress(Progress::Waiting { ahead }),
@@ -140,6 +140,10 @@ impl Client {
                 ToClient::WorkerRejects { name, reason } => {
                     let (name, reason) = (plain_text(&name), plain_text(&reason));
                     progress(Progress::PackRejected { name: &name, reason: &reason });
+                }
+                ToClient::Restarted { from, to, dropped } => {
+                    let (from, to) = (plain_text(&from), plain_text(&to));
+                    progress(Progress::Restarted { from: &from, to: &to, dropped });
                 }
                 ToClient::Finished { frame: finished } if finished == frame.frame => break,
                 ToClient::Failed { frame: failed, reason } if failed == frame.frame => {
@@ -198,16 +202,34 @@ fn result(summary: FrameSummary, pack: PackId, image: FrameBuffer) -> FrameResul
     let [sent, received, udp_sent, udp_received] = summary.traffic;
     let worker = |worker: tessera_wire::WorkerSummary| WorkerReport {
         name: plain_text(&worker.name),
+        backend: plain_text(&worker.backend),
+        numeric_class: plain_text(&worker.numeric_class),
+        note: plain_text(&worker.note),
         tiles: worker.tiles,
         render: Duration::from_micros(worker.render_us),
         bytes_returned: worker.bytes_returned,
         lost: worker.lost.as_deref().map(plain_text),
         rejected: worker.rejected.as_deref().map(plain_text),
     };
+    let class = |part: tessera_wire::ClassSummary| ClassPart {
+        class: plain_text(&part.class),
+        workers: part.workers,
+        tiles: part.tiles,
+    };
+    let difference = |found: tessera_wire::DifferenceSummary| ClassDifference {
+        classes: found.classes.map(|class| plain_text(&class)),
+        tiles: found.tiles,
+        pixels: found.pixels,
+        differing: found.differing,
+        max_abs: found.max_abs,
+        psnr_db: found.psnr_db,
+    };
     FrameResult {
         image,
         pack: tessera_pack::PackId(pack.0),
-        numeric_class: plain_text(&summary.numeric_class),
+        classes: summary.classes.into_iter().map(class).collect(),
+        differences: summary.differences.into_iter().map(difference).collect(),
+        idle: summary.idle,
         workers: summary.workers.into_iter().map(worker).collect(),
         timings: Timings { send_scene, render, return_, frame },
         traffic: Traffic { sent, received, udp_sent, udp_received },

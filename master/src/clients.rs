@@ -1,7 +1,7 @@
 //! A client at the master: its pack is taken and checked, its frames wait their turn, and the image goes back.
 
 use crate::{
-    FrameJob, FrameResult, WorkerReport,
+    ClassDifference, ClassPart, FrameJob, FrameResult, WorkerReport,
     door::{Guest, turn_away},
     packs::{Kept, PackStore, Room},
     transport::{PipeError, Pipes, read_message, write_message},
@@ -16,8 +16,9 @@ use std::{
 };
 use tessera_pack::{Pack, PackBuffer, PackError};
 use tessera_wire::{
-    AbortCode, Balance, Frame, FrameFailure, FrameSummary, FromClient, Hello, PackChunk, PackId,
-    PackProgress, PackRefusal, Refusal, ToClient, Version, WorkerSummary, limits, plain_text,
+    AbortCode, Balance, ClassSummary, DifferenceSummary, Frame, FrameFailure, FrameSummary, FromClient,
+    Hello, PackChunk, PackId, PackProgress, PackRefusal, Refusal, ToClient, Version, WorkerSummary, limits,
+    plain_text,
 };
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
@@ -184,8 +185,8 @@ impl Visit {
                     drop(held.take());
                     held = self.take_pack(pack, length, &reception.packs).await?;
                 }
-                Some(FromClient::Render { frame, balance }) => {
-                    self.render(&frame, balance, held.clone(), reception).await?;
+                Some(FromClient::Render { frame, balance, mix }) => {
+                    self.render(&frame, (balance, mix), held.clone(), reception).await?;
                 }
                 Some(FromClient::Abort { code, detail }) => return Err(says(code, &detail)),
                 Some(FromClient::Hello(_)) => return Err(unexpected("a second `Hello`")),
@@ -261,7 +262,7 @@ impl Visit {
     async fn render(
         &mut self,
         frame: &Frame,
-        balance: Balance,
+        (balance, mix): (Balance, bool),
         held: Option<Arc<Kept>>,
         reception: &Reception,
     ) -> Result<(), Cut> {
@@ -285,7 +286,7 @@ impl Visit {
         };
         let (done, mut outcome) = oneshot::channel();
         let (tell, mut news) = mpsc::channel(16);
-        let job = FrameJob::from_wire(frame, balance);
+        let job = FrameJob::from_wire(frame, balance, mix);
         let job = Job { name: self.name.clone(), pack, _room: room.clone(), job, tell, done };
         let ahead = reception.frames.fetch_add(1, Ordering::Relaxed);
         if let Err(e) = reception.jobs.try_send(job) {
@@ -348,17 +349,35 @@ fn summary(frame: &Frame, result: &FrameResult) -> FrameSummary {
     let us = |time: Duration| u64::try_from(time.as_micros()).unwrap_or(u64::MAX);
     let worker = |worker: &WorkerReport| WorkerSummary {
         name: plain_text(&worker.name),
+        backend: plain_text(&worker.backend),
+        numeric_class: plain_text(&worker.numeric_class),
+        note: plain_text(&worker.note),
         tiles: worker.tiles,
         render_us: us(worker.render),
         bytes_returned: worker.bytes_returned,
         lost: worker.lost.as_deref().map(plain_text),
         rejected: worker.rejected.as_deref().map(plain_text),
     };
+    let class = |part: &ClassPart| ClassSummary {
+        class: plain_text(&part.class),
+        workers: part.workers,
+        tiles: part.tiles,
+    };
+    let difference = |found: &ClassDifference| DifferenceSummary {
+        classes: found.classes.each_ref().map(|class| plain_text(class)),
+        tiles: found.tiles,
+        pixels: found.pixels,
+        differing: found.differing,
+        max_abs: found.max_abs,
+        psnr_db: found.psnr_db,
+    };
     let (timings, traffic) = (&result.timings, &result.traffic);
     FrameSummary {
         frame: frame.frame,
         length: result.image.data().len() as u64,
-        numeric_class: result.numeric_class.clone(),
+        classes: result.classes.iter().map(class).collect(),
+        differences: result.differences.iter().map(difference).collect(),
+        idle: result.idle,
         // Who came and went many times in one frame may be listed in part.
         workers: result.workers.iter().take(limits::WORKERS).map(worker).collect(),
         times_us: [timings.send_scene, timings.render, timings.return_, timings.frame].map(us),

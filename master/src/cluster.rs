@@ -57,8 +57,8 @@ pub struct LocalWorkers {
 /// How a cluster is started.
 #[derive(Clone, Debug, Default)]
 pub struct ClusterConfig {
-    /// The arithmetic that every worker must have (`tessera_worker::NUMERIC_CLASS`); `None`: that of the
-    /// first to join.
+    /// The arithmetic that every worker must have (`tessera_worker::NUMERIC_CLASS`); `None`: workers of any may join, and one class
+    /// renders each frame unless [`FrameJob::mix`] says otherwise.
     pub numeric_class: Option<String>,
     /// How long a frame whose last worker is lost waits for another to join before it fails. Zero where none can join later.
     pub patience: Duration,
@@ -528,6 +528,12 @@ impl Cluster {
                 let name = self.describe(worker);
                 progress(Progress::PackRejected { name: &name, reason: &reason.to_string() });
             }
+            Event::ClassChosen { class, workers, idle } => {
+                progress(Progress::ClassChosen { class: &class, workers, idle });
+            }
+            Event::Restarted { from, to, dropped } => {
+                progress(Progress::Restarted { from: &from, to: &to, dropped });
+            }
             Event::PackHeld(_) => {}
         }
     }
@@ -563,7 +569,9 @@ impl Cluster {
         FrameResult {
             image: outcome.image,
             pack: tessera_pack::PackId(pack.0),
-            numeric_class: self.coordinator.numeric_class().unwrap_or_default().into(),
+            classes: outcome.classes,
+            differences: outcome.differences,
+            idle: outcome.idle,
             workers: outcome.workers,
             timings: Timings { send_scene: self.send_scene, ..outcome.timings },
             traffic: self.traffic(),

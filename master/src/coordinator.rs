@@ -3,19 +3,22 @@
 //! A whole cluster runs in one thread under a virtual clock this way; `Cluster` is the same thing with
 //! sockets.
 
+mod active;
+
 use crate::{
-    FrameBuffer, FrameJob, Timings, WorkerReport,
-    dispatch::{Assignment, Dispatch, Violation},
+    ClassDifference, ClassPart, FrameBuffer, FrameJob, Timings, WorkerReport,
+    dispatch::{Assignment, fastest},
     image::NoRoom,
     session::{Session, Step},
 };
+use active::Active;
 use std::{
     collections::{BTreeMap, VecDeque},
     time::Duration,
 };
 use tessera_wire::{
-    AbortCode, Frame, FrameError, FrameId, PackId, PackRefusal, Rays, Refusal, TileEntry, TileGrid, ToMaster,
-    ToWorker, WorkerId, limits,
+    AbortCode, FrameError, FrameId, PackId, PackRefusal, Rays, Refusal, TileEntry, ToMaster, ToWorker,
+    WorkerId, limits,
 };
 
 /// What the driver has to do, or to know.
@@ -42,6 +45,24 @@ pub enum Event {
     PackHeld(WorkerId),
     /// A worker cannot hold it.
     PackRejected(WorkerId, PackRefusal),
+    /// A frame begins with the workers of one numeric class, and others hold the pack too.
+    ClassChosen {
+        /// The class.
+        class: String,
+        /// Workers of it.
+        workers: u32,
+        /// Workers of others, which have no part.
+        idle: u32,
+    },
+    /// The last worker of the frame's class was lost, and another class begins it again.
+    Restarted {
+        /// The class before.
+        from: String,
+        /// The class now.
+        to: String,
+        /// Tiles that were in the image.
+        dropped: u32,
+    },
     /// Another tile is in the image.
     Tile {
         /// So far.
@@ -56,7 +77,7 @@ pub enum Event {
 pub enum FrameStatus {
     /// No frame, or not complete.
     Pending,
-    /// Every tile is in.
+    /// Every tile is in, and what classes of a mix are compared by.
     Done,
     /// No worker is left, and none has come in time; `done` of `total` tiles are in.
     Failed {
@@ -83,6 +104,12 @@ pub enum BeginError {
 pub struct Outcome {
     /// The image.
     pub image: FrameBuffer,
+    /// Classes of its tiles, those with most first.
+    pub classes: Vec<ClassPart>,
+    /// How far they differ.
+    pub differences: Vec<ClassDifference>,
+    /// Holders of the pack that are of other classes.
+    pub idle: u32,
     /// Those who took part.
     pub workers: Vec<WorkerReport>,
     /// Without `send_scene`.
@@ -123,27 +150,9 @@ struct Offer {
     is_settled: bool,
 }
 
-#[derive(Debug)]
-struct Active {
-    frame: Frame,
-    grid: TileGrid,
-    dispatch: Dispatch,
-    image: FrameBuffer,
-    rays: Rays,
-    reports: Vec<(WorkerId, WorkerReport)>,
-    /// Until when the next tile of a worker must be in, for as long as it owes pixels.
-    due: BTreeMap<WorkerId, Duration>,
-    late: u64,
-    /// Until when a frame without workers waits for one.
-    alone: Option<Duration>,
-    given_up: bool,
-    begun: Duration,
-    last_rendered: Duration,
-    completed: Option<Duration>,
-}
-
 impl Coordinator {
-    /// No workers yet. `numeric_class`: what all must have; `None` leaves it to the first to join.
+    /// No workers yet. `numeric_class`: what all must have; `None` takes workers of any class, of which one renders each frame unless
+    /// its job says otherwise.
     pub fn new(numeric_class: Option<String>) -> Self {
         Self { numeric_class, ..Self::default() }
     }
@@ -163,11 +172,6 @@ impl Coordinator {
         let frame = self.frame.iter().filter_map(Active::deadline);
         let load = self.pack.filter(|_| self.is_loading()).and_then(|offer| offer.until);
         self.sessions.values().filter_map(Session::deadline).chain(frame).chain(load).min()
-    }
-
-    /// The arithmetic of the cluster, once settled.
-    pub fn numeric_class(&self) -> Option<&str> {
-        self.numeric_class.as_deref()
     }
 
     /// The name of a worker that has joined and is not gone.
@@ -239,6 +243,10 @@ impl Coordinator {
             Ok(true) => {
                 let (done, total) = (active.dispatch.done(), active.dispatch.total());
                 self.outputs.push_back(Output::Event(Event::Tile { done, total }));
+                if done == total {
+                    let comparisons = active.compare_classes(now);
+                    self.assign(comparisons);
+                }
             }
             Ok(false) => {}
             Err(detail) => self.abort(worker, AbortCode::BadTiles, detail, now),
@@ -275,6 +283,7 @@ impl Coordinator {
         }
         let is_awaited = self.is_awaited();
         let Some(active) = &mut self.frame else { return };
+        active.tick(now);
         if active.alone.is_some_and(|until| until <= now) && !active.given_up {
             // A worker that takes the pack, or says that it does not, has a deadline of its own.
             active.given_up = !is_awaited;
@@ -303,7 +312,9 @@ impl Coordinator {
         }
     }
 
-    /// Begins a frame of the loaded pack with all workers that hold it; those that hold it later take part from then on.
+    /// Begins a frame of the loaded pack with the workers that hold it, of the numeric class that is the fastest together, or of all
+    /// classes if the job may mix them; those of them that hold it later take part from then on. When the last of the class is lost,
+    /// another class begins the frame again.
     ///
     /// # Errors
     /// The job is out of range, or its image too large for this machine. Without a loaded pack or holders the frame begins, and fails
@@ -311,45 +322,93 @@ impl Coordinator {
     pub fn begin(&mut self, job: &FrameJob, now: Duration) -> Result<FrameId, BeginError> {
         let id = FrameId(self.frames_begun + 1);
         let frame = job.to_wire(id, self.pack.map_or(PackId([0; 32]), |offer| offer.pack));
-        let grid = frame.check()?;
-        let image = FrameBuffer::new(job.width, job.height, job.format)?;
+        let mut active = Active::new(frame, job, now)?;
         self.frames_begun += 1;
-        let workers: Vec<_> = self.holders().collect();
-        let report =
-            |worker| (worker, WorkerReport::new(self.name(worker).unwrap_or("?"), self.rejection(worker)));
-        let reports =
-            self.joined().filter(|w| workers.contains(w) || self.rejection(*w).is_some()).map(report);
-        let reports = reports.collect();
-        let (mut dispatch, assignments) = Dispatch::start(&grid, job.balance, job.samples, &workers, now);
-        for (&worker, &worn) in &self.worn {
-            dispatch.wear(worker, worn);
+        let holders = self.holders().count();
+        let class = self.fastest_class().filter(|_| !job.mix);
+        let workers = self.crew(class.as_deref());
+        let takes_part = |w: &WorkerId| workers.contains(w) || self.rejection(*w).is_some();
+        active.reports = self.joined().filter(takes_part).map(|w| (w, self.report_of(w))).collect();
+        if workers.is_empty() {
+            active.alone = Some(now + self.patience);
+            active.given_up = self.patience.is_zero();
         }
-        self.frame = Some(Active {
-            frame,
-            grid,
-            dispatch,
-            image,
-            rays: Rays::default(),
-            reports,
-            due: BTreeMap::new(),
-            late: 0,
-            alone: workers.is_empty().then_some(now + self.patience),
-            given_up: workers.is_empty() && self.patience.is_zero(),
-            begun: now,
-            last_rendered: now,
-            completed: None,
-        });
+        self.frame = Some(active);
+        if let Some(class) = class.clone().filter(|_| workers.len() < holders) {
+            let (workers, idle) = (workers.len() as u32, (holders - workers.len()) as u32);
+            self.outputs.push_back(Output::Event(Event::ClassChosen { class, workers, idle }));
+        }
+        if !workers.is_empty() {
+            self.assemble(class, workers, now);
+        }
+        Ok(id)
+    }
+
+    /// Gives the current frame to `workers`.
+    fn assemble(&mut self, class: Option<String>, workers: Vec<WorkerId>, now: Duration) {
+        let Some(active) = &mut self.frame else { return };
+        let assignments = active.assemble(class, &workers, now);
+        for (&worker, &worn) in &self.worn {
+            active.dispatch.wear(worker, worn);
+        }
+        let frame = active.frame;
         for worker in workers {
             self.outputs.push_back(Output::Send(worker, ToWorker::Frame(frame)));
         }
         self.assign(assignments);
-        Ok(id)
+    }
+
+    /// Of the classes whose workers hold the pack, the one that is the fastest together.
+    fn fastest_class(&self) -> Option<String> {
+        let abilities = self.holders().filter_map(|worker| self.sessions.get(&worker)?.abilities());
+        fastest(abilities.map(|a| (a.numeric_class.as_str(), a.speed))).map(String::from)
+    }
+
+    /// Workers that hold the pack, of `class` if it is one.
+    fn crew(&self, class: Option<&str>) -> Vec<WorkerId> {
+        let is_of_class = |worker: &WorkerId| class.is_none_or(|class| self.class_of(*worker) == Some(class));
+        self.holders().filter(is_of_class).collect()
+    }
+
+    fn class_of(&self, worker: WorkerId) -> Option<&str> {
+        Some(&self.sessions.get(&worker)?.abilities()?.numeric_class)
+    }
+
+    fn report_of(&self, worker: WorkerId) -> WorkerReport {
+        let abilities = self.sessions.get(&worker).and_then(Session::abilities);
+        WorkerReport::new(self.name(worker).unwrap_or("?"), abilities, self.rejection(worker))
+    }
+
+    /// A frame that has lost the last worker of its class goes to another class, if workers of one hold the pack: from its first tile
+    /// on, so that no picture mixes classes.
+    fn change_class(&mut self, now: Duration) {
+        let Some(active) = &self.frame else { return };
+        let (is_done, workers) = (active.dispatch.is_done(), active.dispatch.workers());
+        if active.job.mix || active.given_up || is_done || workers > 0 {
+            return;
+        }
+        let from = active.class.clone();
+        let Some(to) = self.fastest_class() else { return };
+        let workers = self.crew(Some(&to));
+        let reports: Vec<_> = workers.iter().map(|&worker| (worker, self.report_of(worker))).collect();
+        self.frames_begun += 1;
+        let id = FrameId(self.frames_begun);
+        let Some(active) = &mut self.frame else { return };
+        // Under a number of its own: what the first class still sends is late.
+        active.frame.frame = id;
+        active.reports.extend(reports);
+        let dropped = active.dispatch.done();
+        if let Some(from) = from {
+            let to = to.clone();
+            self.outputs.push_back(Output::Event(Event::Restarted { from, to, dropped }));
+        }
+        self.assemble(Some(to), workers, now);
     }
 
     /// How the current frame stands.
     pub fn status(&self) -> FrameStatus {
         match &self.frame {
-            Some(active) if active.dispatch.is_done() => FrameStatus::Done,
+            Some(active) if active.is_over() => FrameStatus::Done,
             Some(active) if active.given_up => {
                 FrameStatus::Failed { done: active.dispatch.done(), total: active.dispatch.total() }
             }
@@ -367,7 +426,9 @@ impl Coordinator {
                 self.outputs.push_back(Output::Send(worker, ToWorker::EndFrame { frame }));
             }
         }
-        active.outcome()
+        let holders = self.holders().filter(|worker| active.reports.iter().all(|(w, _)| w != worker));
+        let idle = holders.count() as u32;
+        active.outcome(idle)
     }
 
     /// Sends every worker home.
@@ -420,9 +481,6 @@ impl Coordinator {
                 Step::Send(message) => self.outputs.push_back(Output::Send(worker, message)),
                 Step::SendPack(pack) => self.outputs.push_back(Output::SendPack(worker, pack)),
                 Step::Joined => {
-                    if let Some(abilities) = self.sessions.get(&worker).and_then(Session::abilities) {
-                        self.numeric_class.get_or_insert_with(|| abilities.numeric_class.clone());
-                    }
                     self.outputs.push_back(Output::Event(Event::Joined(worker)));
                     if let (Some(offer), Some(session)) = (self.pack, self.sessions.get_mut(&worker)) {
                         let steps = session.offer(offer.pack, offer.length, now);
@@ -484,13 +542,20 @@ impl Coordinator {
 
     /// A worker that has just taken the pack takes part in the frame of it that is under way.
     fn join_frame(&mut self, worker: WorkerId, now: Duration) {
-        let name = self.name(worker).unwrap_or("?").to_string();
+        let (class, report) = (self.class_of(worker).map(String::from), self.report_of(worker));
         let holds = |active: &&mut Active| {
             let session = self.sessions.get(&worker);
             session.is_some_and(|s| s.holds(active.frame.pack)) && !active.dispatch.is_done()
         };
-        let Some(active) = self.frame.as_mut().filter(holds) else { return };
-        active.reports.push((worker, WorkerReport::new(&name, None)));
+        let (Some(active), Some(class)) = (self.frame.as_mut().filter(holds), class) else { return };
+        if !active.takes(&class) {
+            // It idles, unless nobody of the frame's own class is left.
+            return self.change_class(now);
+        }
+        if !active.job.mix {
+            active.class = Some(class);
+        }
+        active.reports.push((worker, report));
         active.alone = None;
         self.outputs.push_back(Output::Send(worker, ToWorker::Frame(active.frame)));
         let assignments = active.dispatch.join(worker, now);
@@ -503,137 +568,20 @@ impl Coordinator {
     }
 
     fn over(&mut self, worker: WorkerId, reason: String, now: Duration) {
-        if let Some(active) = &mut self.frame {
-            if let Some((_, report)) = active.reports.iter_mut().find(|(w, _)| *w == worker) {
-                report.lost = Some(reason.clone());
-            }
-            let assignments = active.dispatch.lost(worker, now);
-            if active.dispatch.workers() == 0 && active.alone.is_none() {
-                active.alone = Some(now + self.patience);
-                active.given_up = self.patience.is_zero() && !active.dispatch.is_done();
-            }
-            self.assign(assignments);
+        self.outputs.push_back(Output::Event(Event::Lost(worker, reason.clone())));
+        let Some(active) = &mut self.frame else { return };
+        let assignments = active.lost(worker, &reason, now);
+        self.assign(assignments);
+        self.change_class(now);
+        if let Some(active) = &mut self.frame
+            && active.dispatch.workers() == 0
+            && active.alone.is_none()
+        {
+            active.alone = Some(now + self.patience);
+            active.given_up = self.patience.is_zero() && !active.dispatch.is_done();
         }
-        self.outputs.push_back(Output::Event(Event::Lost(worker, reason)));
-    }
-}
-
-impl Active {
-    /// Puts a tile into the image: whether it was the first for its place, or what is wrong with it.
-    fn tile(
-        &mut self,
-        worker: WorkerId,
-        entry: &TileEntry,
-        pixels: &[u8],
-        wire_bytes: u64,
-        now: Duration,
-    ) -> Result<bool, String> {
-        let not_there = Violation::NotAssigned { tile: entry.tile.0, attempt: entry.attempt.0 };
-        let rect = self.grid.rect(entry.tile).ok_or_else(|| not_there.to_string())?;
-        let expected =
-            u64::from(rect.width) * u64::from(rect.height) * self.image.format().bytes_per_pixel() as u64;
-        if pixels.len() as u64 != expected {
-            return Err(format!("tile {} has {} bytes instead of {expected}", entry.tile.0, pixels.len()));
-        }
-        let first = self
-            .dispatch
-            .accept(worker, entry.tile, entry.attempt, now)
-            .map_err(|violation| violation.to_string())?;
-        let report = self.reports.iter_mut().find(|(w, _)| *w == worker).map(|(_, report)| report);
-        if let Some(report) = report {
-            report.bytes_returned += wire_bytes;
-            if first {
-                report.tiles += 1;
-                report.render += Duration::from_micros(entry.render_us.into());
-            }
-        }
-        if first {
-            self.image.put(rect.x, rect.y, rect.width, rect.height, pixels).map_err(|e| e.to_string())?;
-            self.rays += entry.rays;
-            self.due.insert(worker, now + limits::RETURN_TIMEOUT);
-            if self.dispatch.is_done() {
-                self.completed = Some(now);
-            }
-        }
-        Ok(first)
-    }
-
-    fn deadline(&self) -> Option<Duration> {
-        if self.dispatch.is_done() || self.given_up {
-            return None;
-        }
-        let returns = self.due().map(|(_, due)| due);
-        returns.chain(self.dispatch.deadline()).chain(self.alone).min()
-    }
-
-    /// Workers that owe pixels, and until when the next tile of each must be in.
-    fn due(&self) -> impl Iterator<Item = (WorkerId, Duration)> {
-        self.due.iter().map(|(&worker, &due)| (worker, due)).filter(|&(worker, _)| self.dispatch.owes(worker))
-    }
-
-    fn outcome(self) -> Option<Outcome> {
-        let completed = self.completed?;
-        // Pixels may overtake the word that they are rendered: then rendering has hidden the return entirely.
-        let rendered = if self.dispatch.all_rendered() { self.last_rendered } else { completed };
-        let since_begin = |time: Duration| time.saturating_sub(self.begun);
-        let timings = Timings {
-            send_scene: Duration::ZERO,
-            render: since_begin(rendered),
-            return_: completed.saturating_sub(rendered),
-            frame: since_begin(completed),
-        };
-        Some(Outcome {
-            image: self.image,
-            workers: self.reports.into_iter().map(|(_, report)| report).collect(),
-            timings,
-            rays: self.rays,
-            dropped_tiles: self.dispatch.dropped() + self.late,
-        })
-    }
-}
-
-impl WorkerReport {
-    fn new(name: &str, rejected: Option<&PackRefusal>) -> Self {
-        let rejected = rejected.map(ToString::to_string);
-        Self { name: name.into(), tiles: 0, render: Duration::ZERO, bytes_returned: 0, lost: None, rejected }
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use tessera_wire::{Abilities, Hello, Role, Token, Version};
-
-    fn hello() -> ToMaster {
-        let abilities =
-            Abilities { memory: 0, threads: 1, backend: "cpu".into(), numeric_class: "cpu-1".into() };
-        let versions = Version::supported_numbers();
-        ToMaster::Hello(Hello {
-            versions,
-            token: Token::default(),
-            name: "w".into(),
-            role: Role::Worker(abilities),
-        })
-    }
-
-    #[test]
-    fn connections_that_are_over_are_forgotten() {
-        let mut coordinator = Coordinator::new(Some("cpu-1".into()));
-        coordinator.load(PackId([1; 32]), 10, Duration::ZERO);
-        for number in 0..1000 {
-            let worker = coordinator.connected(Duration::ZERO);
-            // Some never join, and some are refused.
-            match number % 3 {
-                0 => {}
-                1 => coordinator.refuse(worker, Refusal::Full { limit: 1 }, Duration::ZERO),
-                _ => coordinator.message(worker, hello(), Duration::ZERO),
-            }
-            coordinator.lost(worker, AbortCode::Done, "gone".into(), Duration::ZERO);
-            let told = std::iter::from_fn(|| coordinator.poll())
-                .filter(|output| matches!(output, Output::Event(Event::Lost(lost, _)) if *lost == worker));
-            assert_eq!(told.count(), 1, "{number}");
-        }
-        assert_eq!((coordinator.sessions.len(), coordinator.deadline()), (0, None));
-        assert_eq!(coordinator.worn.len(), 0);
-    }
-}
+mod tests;

@@ -1,7 +1,7 @@
 //! What a frame is asked for, and what comes back.
 
 use crate::{Balance, FrameBuffer};
-use std::time::Duration;
+use std::{fmt, time::Duration};
 use tessera_geometry::{LocalCamera, Vec3};
 use tessera_pack::PackId;
 use tessera_wire::{Camera, Features, Frame, FrameId, PixelFormat, Rays};
@@ -29,12 +29,14 @@ pub struct FrameJob {
     pub format: PixelFormat,
     /// How tiles get to workers.
     pub balance: Balance,
+    /// Whether workers of several numeric classes may take part. If not, those of one do, and a picture is of one class.
+    pub mix: bool,
 }
 
 impl FrameJob {
     /// The job as a message.
     pub(crate) fn to_wire(&self, frame: FrameId, pack: tessera_wire::PackId) -> Frame {
-        let Self { camera, width, height, tile, samples, depth, seed, features, format, balance } = *self;
+        let Self { camera, width, height, tile, samples, depth, seed, features, format, balance, .. } = *self;
         let camera = Camera {
             origin: camera.origin.to_array(),
             forward: camera.forward.to_array(),
@@ -54,7 +56,7 @@ impl FrameJob {
     }
 
     /// The job of a client.
-    pub(crate) fn from_wire(frame: &Frame, balance: Balance) -> Self {
+    pub(crate) fn from_wire(frame: &Frame, balance: Balance, mix: bool) -> Self {
         let Frame { camera, width, height, tile, samples, depth, seed, features, format, .. } = *frame;
         let camera = LocalCamera {
             origin: Vec3::from_array(camera.origin),
@@ -62,7 +64,7 @@ impl FrameJob {
             right: Vec3::from_array(camera.right),
             up: Vec3::from_array(camera.up),
         };
-        Self { camera, width, height, tile, samples, depth, seed, features, format, balance }
+        Self { camera, width, height, tile, samples, depth, seed, features, format, balance, mix }
     }
 }
 
@@ -104,6 +106,24 @@ pub enum Progress<'a> {
         /// From where.
         peer: &'a str,
     },
+    /// The frame is rendered by workers of one numeric class, and there are others.
+    ClassChosen {
+        /// The class.
+        class: &'a str,
+        /// Workers of it.
+        workers: u32,
+        /// Workers of other classes, which hold the scene and have no part.
+        idle: u32,
+    },
+    /// The last worker of the frame's class was lost, and workers of another class begin it again.
+    Restarted {
+        /// The class before.
+        from: &'a str,
+        /// The class now.
+        to: &'a str,
+        /// Tiles that were in the image.
+        dropped: u32,
+    },
     /// A worker is gone; the others go on.
     WorkerLost {
         /// Its name.
@@ -113,6 +133,35 @@ pub enum Progress<'a> {
     },
 }
 
+impl fmt::Display for Progress<'_> {
+    /// One line for a log.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Waiting { ahead } => {
+                write!(f, "waiting: the master renders for others first ({ahead} before this frame)")
+            }
+            Self::NoWorkers => write!(f, "waiting: no worker has joined the master yet"),
+            Self::Sent { bytes, total } => write!(f, "{bytes} of {total} bytes of the scene are sent"),
+            Self::Tiles { done, total } => write!(f, "{done} of {total} tiles"),
+            Self::PackRejected { name, reason } => write!(f, "{name} cannot hold the scene: {reason}"),
+            Self::WorkerJoined { name, peer } => write!(f, "{name} has joined from {peer}"),
+            Self::ClassChosen { class, workers, idle } => {
+                let holders = u64::from(workers) + u64::from(idle);
+                write!(f, "the frame is rendered in class {class} by {workers} of {holders} workers; ")?;
+                write!(f, "the others are of other classes and idle, --mix lets them take part")
+            }
+            Self::Restarted { from, to, dropped } => {
+                write!(
+                    f,
+                    "the last worker of class {from} is lost: class {to} begins the frame again, and "
+                )?;
+                write!(f, "{dropped} finished tiles are dropped, so that the picture does not mix classes")
+            }
+            Self::WorkerLost { name, reason } => write!(f, "{name} is lost: {reason}"),
+        }
+    }
+}
+
 /// A frame and how it came about.
 #[derive(Clone, Debug)]
 pub struct FrameResult {
@@ -120,8 +169,12 @@ pub struct FrameResult {
     pub image: FrameBuffer,
     /// The pack that was rendered.
     pub pack: PackId,
-    /// The arithmetic that rendered it.
-    pub numeric_class: String,
+    /// The arithmetics that rendered it, those with most tiles first: one, unless the job lets them be mixed.
+    pub classes: Vec<ClassPart>,
+    /// How far they differ, by pairs; empty with one class.
+    pub differences: Vec<ClassDifference>,
+    /// Workers that hold the pack and had no part because they are of other classes.
+    pub idle: u32,
     /// Every worker that took part or has rejected the scene: those that were started with the cluster, in that order, then those
     /// that joined, likewise. One that was lost and came back is there twice.
     pub workers: Vec<WorkerReport>,
@@ -131,8 +184,46 @@ pub struct FrameResult {
     pub traffic: Traffic,
     /// Rays of the image: each tile counted once, however often it was rendered.
     pub rays: Rays,
-    /// Results that came twice or too late, and were dropped.
+    /// Results that came twice or too late, or of a class that was lost, and were dropped.
     pub dropped_tiles: u64,
+}
+
+impl FrameResult {
+    /// The arithmetic that rendered it, if it is one.
+    pub fn numeric_class(&self) -> Option<&str> {
+        match &self.classes[..] {
+            [one] => Some(&one.class),
+            _ => None,
+        }
+    }
+}
+
+/// A numeric class's part in a frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ClassPart {
+    /// Its name.
+    pub class: String,
+    /// Workers of it that took part.
+    pub workers: u32,
+    /// Tiles of the image that came from them.
+    pub tiles: u32,
+}
+
+/// How far two classes differ, over tiles of the image that came from one of them and were rendered by the other too.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClassDifference {
+    /// Their names, in order.
+    pub classes: [String; 2],
+    /// Tiles that were compared.
+    pub tiles: u32,
+    /// Their pixels.
+    pub pixels: u64,
+    /// Pixels with another byte anywhere, in alpha and layers too.
+    pub differing: u64,
+    /// Largest difference of a red, green or blue value: in codes, for layers in linear light.
+    pub max_abs: f64,
+    /// Of red, green and blue, in dB; `None` if they are equal.
+    pub psnr_db: Option<f64>,
 }
 
 /// A worker's part in a frame.
@@ -140,6 +231,12 @@ pub struct FrameResult {
 pub struct WorkerReport {
     /// Its name.
     pub name: String,
+    /// What renders there: `cpu` or `gpu`.
+    pub backend: String,
+    /// Its arithmetic.
+    pub numeric_class: String,
+    /// Its own word on the device and why it was chosen.
+    pub note: String,
     /// Tiles of the image that came from it.
     pub tiles: u32,
     /// Wall time that it spent rendering those tiles, by its own clock.

@@ -134,6 +134,19 @@ impl FrameBuffer {
         Ok(())
     }
 
+    /// A copy of `width` by `height` pixels at column `x`, row `y`, as [`FrameBuffer::put`] takes them; `None` if they leave the image.
+    pub fn get(&self, x: u32, y: u32, width: u32, height: u32) -> Option<Vec<u8>> {
+        let fits = |start: u32, length: u32, end: u32| start.checked_add(length).is_some_and(|e| e <= end);
+        if !fits(x, width, self.width) || !fits(y, height, self.height) {
+            return None;
+        }
+        let pixel = self.format.bytes_per_pixel();
+        let (row, stride) = (width as usize * pixel, self.width as usize * pixel);
+        let first = y as usize * stride + x as usize * pixel;
+        let rows = (0..height as usize).map(|line| &self.data[first + line * stride..][..row]);
+        Some(rows.flatten().copied().collect())
+    }
+
     /// BLAKE3 of the format's name, width and height (`u32`, little endian) and the rows.
     pub fn hash(&self) -> ImageHash {
         let mut hasher = blake3::Hasher::new();
@@ -321,6 +334,8 @@ mod tests {
                     })
                     .collect();
                 made.put(x, y, w, h, &bytes).unwrap();
+                prop_assert_eq!(made.get(x, y, w, h), Some(bytes));
+                prop_assert_eq!(made.get(x, y, width, h + 1).is_some(), x == 0 && y + h < height);
             }
             prop_assert_eq!(made.hash(), whole.hash());
         }

@@ -9,6 +9,7 @@ mod clients;
 mod cluster;
 pub mod compare;
 pub mod coordinator;
+mod difference;
 mod dispatch;
 mod door;
 mod frame;
@@ -30,9 +31,12 @@ pub use cluster::{
     Cluster, ClusterConfig, ListenConfig, LoadError, LocalWorkers, RenderError, StartError, Workers,
 };
 pub use dispatch::Balance;
-pub use frame::{FrameJob, FrameResult, Progress, Timings, Traffic, WorkerReport};
+pub use frame::{
+    ClassDifference, ClassPart, FrameJob, FrameResult, Progress, Timings, Traffic, WorkerReport,
+};
 pub use image::{FrameBuffer, ImageHash, PixelFormat};
+pub use net::UdpBuffers;
 pub use output::{OutputError, OutputFile};
 pub use prepare::{PrepareError, PrepareOptions, Prepared};
-pub use service::Service;
+pub use service::{Service, ServiceConfig};
 pub use transport::{Link, Pipes, Reader, Writer};

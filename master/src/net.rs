@@ -32,17 +32,12 @@ pub(crate) enum ListenError {
 pub(crate) fn listen(address: SocketAddr, own: &Identity) -> Result<Endpoint, ListenError> {
     let setup = |error: &dyn std::fmt::Display| ListenError::Setup(error.to_string());
     let socket = UdpSocket::bind(address).map_err(|source| ListenError::Bind { address, source })?;
-    let state = quinn::udp::UdpSocketState::new((&socket).into()).map_err(|e| setup(&e))?;
-    // A system may refuse; what counts is what it gives. Linux reports twice what it gives to data, and gives less
-    // than was asked for where its limit is lower.
-    let _ = state.set_send_buffer_size((&socket).into(), limits::SOCKET_BUFFER_BYTES);
-    let _ = state.set_recv_buffer_size((&socket).into(), limits::SOCKET_BUFFER_BYTES);
-    let given =
-        state.send_buffer_size((&socket).into()).ok().min(state.recv_buffer_size((&socket).into()).ok());
-    if given.is_none_or(|bytes| bytes < limits::SOCKET_BUFFER_BYTES) {
+    let given = enlarge_buffers(&socket).map_err(|e| setup(&e))?;
+    if given.are_small() {
         tracing::info!(
             wanted = limits::SOCKET_BUFFER_BYTES,
-            given,
+            send = given.send,
+            receive = given.receive,
             "the system gives UDP sockets smaller buffers than wanted; a busy machine may then send packets twice; \
              on Linux raise net.core.rmem_max and net.core.wmem_max"
         );
@@ -58,6 +53,41 @@ pub(crate) fn listen(address: SocketAddr, own: &Identity) -> Result<Endpoint, Li
     let mut endpoint = EndpointConfig::default();
     endpoint.max_udp_payload_size(limits::UDP_PAYLOAD_BYTES).map_err(|e| setup(&e))?;
     Endpoint::new(endpoint, Some(config), socket, Arc::new(quinn::TokioRuntime)).map_err(|e| setup(&e))
+}
+
+/// Kernel buffers of a UDP socket, in bytes, as far as the system says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UdpBuffers {
+    /// For what is sent.
+    pub send: Option<usize>,
+    /// For what is received.
+    pub receive: Option<usize>,
+}
+
+impl UdpBuffers {
+    /// What the transport asks for, in each direction.
+    pub const WANTED: usize = limits::SOCKET_BUFFER_BYTES;
+
+    /// What this system gives to a socket that asks for [`UdpBuffers::WANTED`].
+    pub fn of_this_system() -> io::Result<Self> {
+        enlarge_buffers(&UdpSocket::bind((std::net::Ipv4Addr::LOCALHOST, 0))?)
+    }
+
+    /// Whether a busy machine may lose packets for want of room, which are then sent twice.
+    pub fn are_small(&self) -> bool {
+        self.send.min(self.receive).is_none_or(|bytes| bytes < Self::WANTED)
+    }
+}
+
+/// Asks for the buffers that the transport wants; what the system gives.
+fn enlarge_buffers(socket: &UdpSocket) -> io::Result<UdpBuffers> {
+    let state = quinn::udp::UdpSocketState::new(socket.into())?;
+    // A system may refuse; what counts is what it gives. Linux reports twice what it gives to data, and gives less
+    // than was asked for where its limit is lower.
+    let _ = state.set_send_buffer_size(socket.into(), UdpBuffers::WANTED);
+    let _ = state.set_recv_buffer_size(socket.into(), UdpBuffers::WANTED);
+    let (send, receive) = (state.send_buffer_size(socket.into()), state.recv_buffer_size(socket.into()));
+    Ok(UdpBuffers { send: send.ok(), receive: receive.ok() })
 }
 
 /// Lets the peer send as fast as it likes: it has shown a valid token.

@@ -1,7 +1,8 @@
 //! What is said about a render: one JSON object, or text for people.
 
-use crate::{FrameJob, FrameResult, ImageHash, Prepared};
+use crate::{ClassDifference, ClassPart, FrameJob, FrameResult, ImageHash, Prepared};
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -21,8 +22,19 @@ pub struct RenderReport {
     pub format: &'static str,
     /// BLAKE3 of the pack's content, hexadecimal.
     pub pack_id: String,
-    /// Frames of one class are equal bit for bit.
-    pub numeric_class: String,
+    /// Frames of one class are equal bit for bit. None for a picture of several: then there are `classes`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub numeric_class: Option<String>,
+    /// The classes of a picture of several, those with most tiles first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub classes: Vec<ClassLine>,
+    /// How far they differ, by pairs.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub differences: Vec<DifferenceLine>,
+    /// Whether classes might be mixed.
+    pub mix: bool,
+    /// Workers that hold the scene and had no part because they are of other classes.
+    pub idle_workers: u32,
     /// Columns and rows.
     pub size: [u32; 2],
     /// Side of a tile.
@@ -33,7 +45,10 @@ pub struct RenderReport {
     pub spp: u32,
     /// Reflections and refractions a path may take.
     pub depth: u32,
-    /// How local workers traced rays: `scalar`, or `8-wide` and the instructions.
+    /// Why local workers render with what they do, where one choice was made for all; each worker has its own word too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub backend_note: Option<String>,
+    /// How local workers trace rays on a CPU: `scalar`, or `8-wide` and the instructions.
     pub kernel: &'static str,
     /// The view.
     pub camera: CameraReport,
@@ -86,6 +101,12 @@ impl CameraReport {
 pub struct WorkerLine {
     /// Its name.
     pub name: String,
+    /// What renders there: `cpu` or `gpu`.
+    pub backend: String,
+    /// Its arithmetic.
+    pub numeric_class: String,
+    /// Its own word on the device, and why it was chosen.
+    pub backend_note: String,
     /// Tiles of the image that came from it.
     pub tiles: u32,
     /// Wall time that it spent rendering those tiles, by its own clock.
@@ -96,6 +117,36 @@ pub struct WorkerLine {
     pub lost: Option<String>,
     /// Why it does not hold the scene and had no part, if it has rejected it.
     pub rejected: Option<String>,
+}
+
+/// A numeric class's part in a picture of several.
+#[derive(Clone, Debug, Serialize)]
+pub struct ClassLine {
+    /// Its name.
+    pub class: String,
+    /// Workers of it that took part.
+    pub workers: u32,
+    /// Tiles of the image that came from them.
+    pub tiles: u32,
+}
+
+/// How far two classes differ: tiles of the image that came from one of them were rendered by the other too.
+#[derive(Clone, Debug, Serialize)]
+pub struct DifferenceLine {
+    /// Their names.
+    pub classes: [String; 2],
+    /// Tiles that were compared.
+    pub tiles: u32,
+    /// Their pixels.
+    pub pixels: u64,
+    /// Pixels with another byte anywhere, in alpha and layers too.
+    pub differing: u64,
+    /// The same as a share, [0, 1].
+    pub differing_share: f64,
+    /// Largest difference of a red, green or blue value: in codes, for layers in linear light.
+    pub max_abs: f64,
+    /// Of red, green and blue, in dB; null when they are equal.
+    pub psnr_db: Option<f64>,
 }
 
 /// Where the time went.
@@ -158,6 +209,8 @@ pub struct RenderFacts<'a> {
     pub job: &'a FrameJob,
     /// The view.
     pub camera: CameraReport,
+    /// Why what renders was chosen for all local workers.
+    pub backend_note: Option<String>,
     /// How local workers traced rays.
     pub kernel: &'static str,
     /// The file that was written.
@@ -173,7 +226,7 @@ pub struct RenderFacts<'a> {
 impl RenderReport {
     /// Puts together what the parts of a render know.
     pub fn new(facts: RenderFacts<'_>, result: &FrameResult) -> Self {
-        let RenderFacts { prepared, job, camera, kernel, out, hash, start, write } = facts;
+        let RenderFacts { prepared, job, camera, backend_note, kernel, out, hash, start, write } = facts;
         let traffic = &result.traffic;
         let udp = traffic.udp_sent + traffic.udp_received;
         Self {
@@ -182,12 +235,21 @@ impl RenderReport {
             image_hash: hash.to_string(),
             format: job.format.name(),
             pack_id: result.pack.to_string(),
-            numeric_class: result.numeric_class.clone(),
+            numeric_class: result.numeric_class().map(String::from),
+            classes: if result.classes.len() > 1 {
+                result.classes.iter().map(class_line).collect()
+            } else {
+                Vec::new()
+            },
+            differences: result.differences.iter().map(difference_line).collect(),
+            mix: job.mix,
+            idle_workers: result.idle,
             size: [job.width, job.height],
             tile: job.tile,
             balance: job.balance.name(),
             spp: job.samples,
             depth: job.depth,
+            backend_note,
             kernel,
             camera,
             workers: result
@@ -195,6 +257,9 @@ impl RenderReport {
                 .iter()
                 .map(|worker| WorkerLine {
                     name: worker.name.clone(),
+                    backend: worker.backend.clone(),
+                    numeric_class: worker.numeric_class.clone(),
+                    backend_note: worker.note.clone(),
                     tiles: worker.tiles,
                     render_ms: ms(worker.render),
                     bytes_returned: worker.bytes_returned,
@@ -281,10 +346,60 @@ impl RenderReport {
                 (None, None) => writeln!(t)?,
             }
         }
+        self.write_classes(t)?;
         writeln!(t, "wire       {}", bytes(self.bytes_on_wire))?;
         write_lists(t, &self.left_out, &self.warnings, &self.notes)?;
-        writeln!(t, "image hash {}", self.image_hash)?;
+        let mixed =
+            if self.classes.is_empty() { "" } else { " (of mixed classes: comparable with no other)" };
+        writeln!(t, "image hash {}{mixed}", self.image_hash)?;
         writeln!(t, "wrote      {}", self.out.display())
+    }
+
+    /// What rendered, in which classes, and how far they differ.
+    fn write_classes(&self, t: &mut String) -> std::fmt::Result {
+        let with_part = self.workers.iter().filter(|worker| worker.rejected.is_none());
+        let notes: BTreeSet<_> = with_part.map(|w| (&w.numeric_class, &w.backend_note)).collect();
+        for (class, note) in notes {
+            writeln!(t, "backend    {class}: {note}")?;
+        }
+        for part in &self.classes {
+            let (workers, tiles) = (plural(part.workers.into(), "worker"), plural(part.tiles.into(), "tile"));
+            writeln!(t, "class      {}: {workers}, {tiles}", part.class)?;
+        }
+        if let (true, Some(class)) = (self.mix, &self.numeric_class) {
+            writeln!(t, "class      {class} alone took part, there is nothing to compare")?;
+        }
+        for found in &self.differences {
+            let [a, b] = &found.classes;
+            let tiles = plural(found.tiles.into(), "tile");
+            write!(t, "difference {a} and {b}: {} of {} pixels", found.differing, found.pixels)?;
+            write!(t, " ({:.3} %) of {tiles}", 100.0 * found.differing_share)?;
+            match found.psnr_db {
+                Some(psnr) => writeln!(t, ", at most {} a channel, PSNR {psnr:.2} dB", found.max_abs)?,
+                None => writeln!(t, ", no colour among them")?,
+            }
+        }
+        if self.idle_workers > 0 {
+            let idle = plural(self.idle_workers.into(), "worker");
+            writeln!(t, "idle       {idle} of other classes; --mix lets them take part")?;
+        }
+        Ok(())
+    }
+}
+
+fn class_line(part: &ClassPart) -> ClassLine {
+    ClassLine { class: part.class.clone(), workers: part.workers, tiles: part.tiles }
+}
+
+fn difference_line(found: &ClassDifference) -> DifferenceLine {
+    DifferenceLine {
+        classes: found.classes.clone(),
+        tiles: found.tiles,
+        pixels: found.pixels,
+        differing: found.differing,
+        differing_share: found.differing as f64 / found.pixels.max(1) as f64,
+        max_abs: found.max_abs,
+        psnr_db: found.psnr_db,
     }
 }
 

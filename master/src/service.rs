@@ -20,9 +20,21 @@ use tokio::{
     time::timeout,
 };
 
+/// How a master serves.
+#[derive(Clone, Debug, Default)]
+pub struct ServiceConfig {
+    /// As in [`ClusterConfig`].
+    pub numeric_class: Option<String>,
+    /// Whether every frame may mix numeric classes, also those of clients that do not ask for it.
+    pub mix: bool,
+    /// Bytes that packs of clients and the images that they wait for may take.
+    pub pack_bytes: u64,
+}
+
 /// A cluster behind a door, with clients.
 pub struct Service {
     cluster: Cluster,
+    mix: bool,
     jobs: mpsc::Receiver<Job>,
     /// Frames that wait or are rendered.
     frames: Arc<AtomicU32>,
@@ -34,13 +46,9 @@ impl Service {
     /// How long a frame without workers waits for one: a crew that restarts needs seconds, a person who starts one a minute.
     const PATIENCE: Duration = Duration::from_secs(60);
 
-    /// Opens the door, and returns at once with what workers and clients need. `numeric_class` as in [`ClusterConfig`]; packs of clients
-    /// and the images that they wait for take up to `pack_bytes`. Needs a tokio runtime with I/O and time.
-    pub fn listen(
-        numeric_class: Option<String>,
-        at: ListenConfig,
-        pack_bytes: u64,
-    ) -> Result<(Self, JoinString), StartError> {
+    /// Opens the door, and returns at once with what workers and clients need. Needs a tokio runtime with I/O and time.
+    pub fn listen(config: ServiceConfig, at: ListenConfig) -> Result<(Self, JoinString), StartError> {
+        let ServiceConfig { numeric_class, mix, pack_bytes } = config;
         let config = ClusterConfig { numeric_class, patience: Self::PATIENCE };
         let (come, guests) = mpsc::channel(limits::CLIENTS);
         let (cluster, join) = Cluster::listen_for_all(config, at, Some(come))?;
@@ -54,7 +62,7 @@ impl Service {
             stopping: is_stopping,
         };
         let reception = tokio::spawn(clients::receive(guests, reception));
-        Ok((Self { cluster, jobs, frames, stopping, reception }, join))
+        Ok((Self { cluster, mix, jobs, frames, stopping, reception }, join))
     }
 
     /// Serves until `stop` is ready, then sends everybody home.
@@ -69,6 +77,7 @@ impl Service {
                 Some(job) = self.jobs.recv() => job,
                 () = self.cluster.attend(|progress| log(&progress)) => continue,
             };
+            job.job.mix |= self.mix;
             let outcome = tokio::select! {
                 biased;
                 () = &mut stop => Err(FrameFailure::Stopping),
@@ -147,6 +156,8 @@ fn log(progress: &Progress<'_>) {
         Progress::WorkerJoined { name, peer } => tracing::info!("{name} has joined from {peer}"),
         Progress::WorkerLost { name, reason } => tracing::info!("{name} is gone: {reason}"),
         Progress::PackRejected { name, reason } => tracing::info!("{name} cannot hold the scene: {reason}"),
+        Progress::ClassChosen { .. } => tracing::info!("{progress}"),
+        Progress::Restarted { .. } => tracing::warn!("{progress}"),
         Progress::Waiting { .. } | Progress::NoWorkers | Progress::Sent { .. } | Progress::Tiles { .. } => {}
     }
 }
@@ -166,6 +177,11 @@ fn message(progress: &Progress<'_>) -> Option<ToClient> {
             let (name, reason) = texts(name, reason);
             ToClient::WorkerRejects { name, reason }
         }
-        Progress::WorkerJoined { .. } => return None,
+        Progress::Restarted { from, to, dropped } => {
+            let (from, to) = texts(from, to);
+            ToClient::Restarted { from, to, dropped }
+        }
+        // The summary tells of those that were idle.
+        Progress::WorkerJoined { .. } | Progress::ClassChosen { .. } => return None,
     })
 }

@@ -305,16 +305,22 @@ mod tests {
     }
 
     fn hello_with(change: impl FnOnce(&mut Abilities)) -> Hello {
-        let mut abilities =
-            Abilities { memory: 1 << 30, threads: 1, backend: "cpu".into(), numeric_class: "cpu-1".into() };
+        let mut abilities = Abilities {
+            memory: 1 << 30,
+            threads: 1,
+            backend: "cpu".into(),
+            numeric_class: "cpu-1".into(),
+            speed: 0,
+            note: String::new(),
+        };
         change(&mut abilities);
         let role = Role::Worker(abilities);
-        Hello { versions: vec![2], token: Token::default(), name: "w".into(), role }
+        Hello { versions: vec![3], token: Token::default(), name: "w".into(), role }
     }
 
     fn joined() -> Session {
         let mut s = Session::new(WorkerId(3), NOW);
-        let welcome = ToWorker::Welcome { version: 2, worker: WorkerId(3) };
+        let welcome = ToWorker::Welcome { version: 3, worker: WorkerId(3) };
         assert_eq!(
             s.message(ToMaster::Hello(hello()), Some("cpu-1"), NOW),
             [Step::Send(welcome), Step::Joined]
@@ -364,8 +370,8 @@ mod tests {
             assert_eq!(steps[0], Step::Send(ToWorker::Refuse(refusal)));
             check_over(&mut s, &steps, AbortCode::Refused);
         };
-        for other in [1, 9] {
-            check(&|h| h.versions = vec![other], None, Refusal::Version { supported: vec![2] });
+        for other in [1, 2, 9] {
+            check(&|h| h.versions = vec![other], None, Refusal::Version { supported: vec![3] });
         }
         check(&|h| h.role = Role::Client, None, Refusal::Role);
         check(&|_| (), Some("gpu-1"), Refusal::NumericClass { expected: "gpu-1".into() });
@@ -378,7 +384,7 @@ mod tests {
         check(&|h| h.name = "\x1b[2J".into(), None, Refusal::Malformed { detail: texts.into() });
         check(&|h| h.name = String::new(), None, Refusal::Malformed { detail: texts.into() });
         let many = "17 versions, at most 16 are allowed";
-        check(&|h| h.versions = vec![2; 17], None, Refusal::Malformed { detail: many.into() });
+        check(&|h| h.versions = vec![3; 17], None, Refusal::Malformed { detail: many.into() });
     }
 
     #[test]

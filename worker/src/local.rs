@@ -1,11 +1,10 @@
 //! A worker process that a master has started on its own machine.
 
 use crate::{
-    Stop, WorkerConfig, WorkerError, free_memory,
+    Backend, Stop, WorkerConfig, WorkerError, free_memory,
     join::{JoinError, serve_master},
 };
 use std::{io::Read, time::Duration};
-use tessera_kdtree::Kernel;
 use tessera_trust::Identity;
 use tessera_wire::{
     LocalTicket,
@@ -19,7 +18,7 @@ use tokio::{
 /// A local worker process: reads its [`LocalTicket`] from standard input, serves, and ends when the master
 /// dismisses it or standard input closes. Needs a tokio runtime with I/O and time. Print its error on stderr
 /// and exit with 1.
-pub async fn run_local(kernel: Kernel) -> Result<(), WorkerError> {
+pub async fn run_local(backend: Backend) -> Result<(), WorkerError> {
     let (ticket, master_gone) = read_ticket().await?;
     let (ask, asked) = watch::channel(Stop::No);
     let ask = async {
@@ -31,7 +30,7 @@ pub async fn run_local(kernel: Kernel) -> Result<(), WorkerError> {
         std::future::pending().await
     };
     tokio::select! {
-        served = serve_ticket(ticket, kernel, asked) => served,
+        served = serve_ticket(ticket, backend, asked) => served,
         () = ask => Ok(()),
     }
 }
@@ -39,13 +38,13 @@ pub async fn run_local(kernel: Kernel) -> Result<(), WorkerError> {
 /// Joins the master that wrote `ticket` and serves it until it dismisses the worker, or until `stop` asks the worker to leave.
 pub async fn serve_ticket(
     ticket: LocalTicket,
-    kernel: Kernel,
+    backend: Backend,
     stop: watch::Receiver<Stop>,
 ) -> Result<(), WorkerError> {
     let own = Identity::new().map_err(|e| JoinError::Setup(e.to_string()))?;
     // Each of them holds a pack of its own, and none has one yet.
     let memory = free_memory().map(|bytes| bytes / u64::from(ticket.sharers.max(1)));
-    let config = WorkerConfig { name: ticket.name, threads: ticket.threads, kernel, memory, cache: None };
+    let config = WorkerConfig { name: ticket.name, threads: ticket.threads, backend, memory, cache: None };
     serve_master(&ticket.join, &own, config, stop).await.map(|_| ())
 }
 

@@ -113,8 +113,8 @@ pub async fn stay<E: From<WorkerError> + Display>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{Backend, BackendChoice, BackendConfig};
     use std::{net::Ipv4Addr, sync::Arc};
-    use tessera_kdtree::Kernel;
     use tessera_wire::{AbortCode, Token};
     use tokio::time::timeout;
 
@@ -145,10 +145,11 @@ mod tests {
         for code in [AbortCode::Busy, AbortCode::Internal] {
             let (master, own) = (Identity::new().unwrap(), Identity::new().unwrap());
             let (_endpoint, join) = evicting(&master, code);
+            let cpu = BackendConfig { choice: BackendChoice::Cpu, ..BackendConfig::default() };
             let config = WorkerConfig {
                 name: "w".into(),
                 threads: 1,
-                kernel: Kernel::auto(),
+                backend: Backend::open(&cpu).expect("there is a CPU"),
                 memory: Some(0),
                 cache: None,
             };

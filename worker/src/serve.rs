@@ -1,9 +1,7 @@
 //! A worker's life on four pipes: join, hold a pack, render what is assigned, go.
 
 use crate::{
-    NUMERIC_CLASS, PackCache,
-    backend::cpu,
-    free_memory,
+    Backend, PackCache, free_memory,
     join::JoinError,
     pipes::{PipeError, Reader, Writer, read_message, reason, write_message},
     receive::{Assembly, receive},
@@ -11,7 +9,6 @@ use crate::{
     session::{Action, Batch, Ending, RenderedTile, Session},
 };
 use std::{io, time::Duration};
-use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 use tessera_wire::{
     Abilities, AbortCode, Hello, PackId, PackRefusal, Refusal, Role, ToMaster, ToWorker, Token, Version,
@@ -37,14 +34,14 @@ pub struct WorkerPipes {
 }
 
 /// What a worker says of itself, and what it may use.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct WorkerConfig {
     /// For people.
     pub name: String,
     /// Threads that render, >= 1.
     pub threads: u32,
-    /// How they trace rays; the picture is the same with each.
-    pub kernel: Kernel,
+    /// What renders, and how: the picture is the same with each of one numeric class.
+    pub backend: Backend,
     /// Bytes that a pack may take; `None`: what the system has free, as far as it says.
     pub memory: Option<u64>,
     /// Where packs are kept for the next time.
@@ -142,11 +139,14 @@ pub(crate) async fn serve_until(
         role: Role::Worker(Abilities {
             memory: memory.unwrap_or(0),
             threads: config.threads.max(1),
-            backend: cpu::NAME.into(),
-            numeric_class: NUMERIC_CLASS.into(),
+            backend: config.backend.name().into(),
+            // Drivers write part of them.
+            numeric_class: plain_text(config.backend.numeric_class()),
+            speed: config.backend.speed(),
+            note: plain_text(config.backend.note()),
         }),
     };
-    let driver = match Driver::start(pipes, (config.threads.max(1), config.kernel), config.cache) {
+    let driver = match Driver::start(pipes, config.threads.max(1), config.backend, config.cache) {
         Ok(driver) => driver,
         Err(error) => return Served { was_welcomed: false, outcome: Err(error) },
     };
@@ -237,10 +237,12 @@ impl Driver {
 
     fn start(
         pipes: WorkerPipes,
-        (threads, kernel): (u32, Kernel),
+        threads: u32,
+        backend: Backend,
         cache: Option<PackCache>,
     ) -> Result<Self, WorkerError> {
-        tracing::info!("rendering with {threads} threads, {} kernel", kernel.name());
+        tracing::debug!("rendering on the {backend} with {threads} threads");
+        let kernel = backend.kernel();
         let (tell, events) = mpsc::channel(Self::EVENTS);
         let (control, messages) = mpsc::unbounded_channel();
         let (bulk, batches) = mpsc::unbounded_channel();
@@ -248,7 +250,7 @@ impl Driver {
         let mut tasks = JoinSet::new();
         tasks.spawn(read_control(pipes.control_in, tell.clone()));
         let bulk_writer = tokio::spawn(write_bulk(pipes.bulk_out, batches, tell.clone()));
-        tasks.spawn(read_packs(pipes.bulk_in, wanted, cache.clone(), tell.clone()));
+        tasks.spawn(read_packs(pipes.bulk_in, wanted, (backend, cache.clone()), tell.clone()));
         let control_writer = tokio::spawn(write_control(pipes.control_out, messages));
         let renderer = RenderThread::start(threads, kernel, move |event| {
             // The driver may be gone; the thread then ends with it.
@@ -414,14 +416,18 @@ async fn write_batch(pipe: &mut Writer, batch: Batch) -> Result<(), PipeError> {
 async fn read_packs(
     mut pipe: Reader,
     mut wanted: mpsc::UnboundedReceiver<(PackId, u64)>,
-    cache: Option<PackCache>,
+    (backend, cache): (Backend, Option<PackCache>),
     tell: mpsc::Sender<Event>,
 ) {
     while let Some((pack, length)) = wanted.recv().await {
         if let Some(cache) = cache.clone() {
             let found = tokio::task::spawn_blocking(move || cache.load(pack)).await;
             if let Ok(Some(found)) = found {
-                if tell.send(Event::PackFound(found)).await.is_err() {
+                let event = match backend.check_pack(&found) {
+                    Ok(()) => Event::PackFound(found),
+                    Err(refusal) => Event::PackReserved(pack, Err(refusal)),
+                };
+                if tell.send(event).await.is_err() {
                     return;
                 }
                 continue;
@@ -438,7 +444,10 @@ async fn read_packs(
         }
         let Ok(assembly) = assembly else { continue };
         let event = match receive(&mut pipe, assembly).await {
-            Ok(result) => Event::PackReceived(pack, result),
+            // What it takes beside the worker's memory shows in the pack alone.
+            Ok(result) => {
+                Event::PackReceived(pack, result.and_then(|held| backend.check_pack(&held).map(|()| held)))
+            }
             // As in `write_bulk`; what is no pipe of packs at all is the master's fault.
             Err(PipeError::Io(e)) if e.kind() != io::ErrorKind::InvalidData => {
                 return tracing::debug!("bulk pipe: {}", reason(&e));
@@ -463,6 +472,7 @@ fn ending_to_result(ending: Ending) -> Result<Parting, WorkerError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{BackendChoice, BackendConfig};
     use tessera_wire::{BatchHeader, FrameId};
 
     /// The master stops reading and writing its bulk pipe before its `Abort` arrives: the worker waits for that.
@@ -475,7 +485,10 @@ mod tests {
 
         let (wanted_packs, wanted) = mpsc::unbounded_channel();
         wanted_packs.send((PackId([1; 32]), 100)).unwrap();
-        read_packs(Box::new(pipe_in), wanted, None, tell.clone()).await;
+        let backend =
+            Backend::open(&BackendConfig { choice: BackendChoice::Cpu, ..BackendConfig::default() });
+        let backend = backend.expect("there is a CPU");
+        read_packs(Box::new(pipe_in), wanted, (backend, None), tell.clone()).await;
         assert!(matches!(told.recv().await, Some(Event::PackReserved(_, Ok(())))));
         assert!(told.try_recv().is_err());
 

@@ -480,6 +480,8 @@ mod tests {
                 threads: 1,
                 backend: "cpu".into(),
                 numeric_class: "cpu-1".into(),
+                speed: 0,
+                note: String::new(),
             }),
         }
     }
@@ -513,7 +515,7 @@ mod tests {
     fn joined(memory: Option<u64>) -> Session {
         let mut s = Session::start(hello(), memory, Duration::ZERO);
         assert_eq!(actions(&mut s), [Action::Send(ToMaster::Hello(hello()))]);
-        s.message(ToWorker::Welcome { version: 2, worker: WorkerId(0) });
+        s.message(ToWorker::Welcome { version: 3, worker: WorkerId(0) });
         assert_eq!((actions(&mut s), s.deadline()), (vec![], None));
         s
     }

@@ -2,7 +2,7 @@
 
 use super::progress::Progress;
 use super::render::{FrameArgs, Plan, WORKERS_MAX};
-use super::run::{Crew, LocalCrew};
+use super::run::Crew;
 use super::{CommandError, PackingArgs};
 use clap::Args;
 use std::path::PathBuf;
@@ -34,9 +34,9 @@ pub struct DemoArgs {
 }
 
 pub fn run(args: DemoArgs, progress: &Progress) -> Result<(), CommandError> {
-    let FrameArgs { threads, kernel, .. } = args.frame;
-    let crew = Crew::Local(LocalCrew { workers: args.workers, threads, kernel });
+    let crew = Crew::Local(args.frame.local_crew(args.workers));
     let plan = Plan::check(&args.out, None, crew, &args.frame, &args.packing)?;
+    let plan = plan.with_backend(progress)?;
     let prepared = {
         let _bar = progress.step("preparing the built-in scene");
         let start = Instant::now();

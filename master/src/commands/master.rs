@@ -8,9 +8,8 @@ use clap::Args;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 use std::time::Duration;
-use tessera_master::{ListenConfig, OutputFile, Service};
+use tessera_master::{ListenConfig, OutputFile, Service, ServiceConfig};
 use tessera_wire::JoinString;
-use tessera_worker::NUMERIC_CLASS;
 
 /// Where to listen, and whom to let in.
 #[derive(Debug, Args)]
@@ -18,7 +17,8 @@ use tessera_worker::NUMERIC_CLASS;
     long_about = "Wait for workers from anywhere and render for clients\n\n\
         Prints one line on stdout, the join string: the master's address, the fingerprint of its certificate and a token. Workers join \
         with it (`tessera worker --join`). Whoever has it can join: keep it to yourself, and give --join-file rather than copying it \
-        through a log. Logs go to stderr. Ends on SIGTERM or Ctrl-C, with exit code 0.",
+        through a log. Workers of any kind, CPUs and GPUs, may join; a picture is rendered by those of one numeric class, so that its \
+        hash means something, unless --mix or the client says otherwise. Logs go to stderr. Ends on SIGTERM or Ctrl-C, with exit code 0.",
     after_help = "Examples:\n\
         \x20 tessera master --listen 0.0.0.0:7411 --join-file join.txt\n\
         \x20 tessera master --listen 0.0.0.0:7411 --advertise render.example.org --token-ttl 8h\n\
@@ -40,6 +40,11 @@ pub struct MasterArgs {
     /// Memory for scenes that clients send and images that they wait for, as in 8GiB [default: half of what is free]
     #[arg(long, value_name = "SIZE", value_parser = byte_size)]
     pack_memory: Option<u64>,
+    /// Let workers of different arithmetic (CPUs, kinds of GPU) render one picture, also for clients that do not ask for it
+    ///
+    /// Without it one class renders a picture, the one that is the fastest together, and others idle until it has no worker left.
+    #[arg(long)]
+    mix: bool,
 }
 
 /// A token's time; `None`: no end.
@@ -61,9 +66,9 @@ async fn serve(args: MasterArgs) -> Result<(), CommandError> {
     let join_file = join_file.map_err(CommandError::failed)?.map(OutputFile::secret);
     // From here on a signal ends it in peace.
     let stop = asked_to_stop();
-    let packs = args.pack_memory.unwrap_or_else(half_of_free_memory);
-    let class = Some(NUMERIC_CLASS.to_owned());
-    let (service, join) = Service::listen(class, at, packs).map_err(CommandError::failed)?;
+    let pack_bytes = args.pack_memory.unwrap_or_else(half_of_free_memory);
+    let config = ServiceConfig { mix: args.mix, pack_bytes, ..ServiceConfig::default() };
+    let (service, join) = Service::listen(config, at).map_err(CommandError::failed)?;
     if let Some(file) = join_file {
         file.write_bytes(format!("{join}\n").as_bytes()).map_err(CommandError::failed)?;
     }

@@ -1,9 +1,11 @@
 //! The command line.
 
 mod args;
+mod backend;
 mod bench;
 mod compare;
 mod demo;
+mod doctor;
 mod error;
 mod info;
 mod info_text;
@@ -43,6 +45,7 @@ Examples:
   tessera render scene.glb --out picture.exr --workers 4
   tessera scene info scene.glb                         what is in it, what is left out, how large it becomes
   tessera compare a.png b.png                          how far two pictures differ
+  tessera doctor                                       what renders on this machine, and what is missing
 
 Exit codes: 0 done, 1 the work failed, 2 wrong usage, 130 interrupted.";
 
@@ -94,6 +97,8 @@ pub enum Command {
     /// Measure rays and trees, beside obvhs in the same run
     #[command(subcommand)]
     Bench(bench::BenchCommand),
+    /// Say what renders here, how fast, and what is missing
+    Doctor(doctor::DoctorArgs),
     /// Wait for workers from anywhere, and render for clients
     Master(master::MasterArgs),
     /// Join a master and render for it
@@ -107,6 +112,7 @@ impl Command {
             Self::Master(_) => true,
             Self::Worker(args) => !args.ticket,
             Self::Demo(_) | Self::Render(_) | Self::Scene(_) | Self::Compare(_) | Self::Bench(_) => false,
+            Self::Doctor(_) => false,
         }
     }
 }
@@ -170,6 +176,7 @@ impl Cli {
             Command::Scene(SceneCommand::Pack(args)) => pack::run(args, &progress),
             Command::Compare(args) => compare::run(args),
             Command::Bench(command) => bench::run(command, &progress),
+            Command::Doctor(args) => doctor::run(&args, &progress),
             Command::Master(args) => master::run(args),
             Command::Worker(args) => worker::run(args),
         }

@@ -1,8 +1,9 @@
 //! `tessera render`.
 
 use super::args::{Size, Triple, field_of_view};
+use super::backend::BackendArgs;
 use super::progress::Progress;
-use super::run::{Crew, KernelChoice, LocalCrew, Rendered, prepare_scene, render_frame};
+use super::run::{Crew, LocalCrew, Rendered, prepare_scene, render_frame};
 use super::{CommandError, PackingArgs, SceneArgs};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -19,7 +20,8 @@ use tessera_wire::{Features, FrameError, TileGrid, limits};
 #[command(
     long_about = "Render a scene to a PNG or EXR file\n\n\
         The same scene, size, samples and features give the same picture, bit for bit, whatever the number of workers, threads and tiles, \
-        and whatever the balancing: compare the image hash that every render prints.",
+        and whatever the balancing: compare the image hash that every render prints. That holds within one numeric class: all CPUs are \
+        of one, each kind of GPU with its driver is of another. A picture is of one class unless --mix says otherwise.",
     after_help = "Examples:\n\
         \x20 tessera render bunny.ply --out bunny.png\n\
         \x20 tessera render scenes/sponza.toml --out sponza.png --workers 4 --size 1920x1080 --spp 4\n\
@@ -39,7 +41,7 @@ pub struct RenderArgs {
     /// Render on the workers of a master elsewhere: its join string, or @FILE that holds it
     ///
     /// The scene is read and packed here; the pack is sent unless the master has it, and the picture comes back.
-    #[arg(long, value_name = "STRING|@FILE", conflicts_with_all = ["workers", "threads", "kernel"])]
+    #[arg(long, value_name = "STRING|@FILE", conflicts_with_all = ["workers", "threads", "kernel", "backend", "gpu"])]
     master: Option<String>,
     #[command(flatten)]
     frame: FrameArgs,
@@ -99,9 +101,14 @@ pub struct FrameArgs {
     #[arg(long, value_name = "N", help_heading = "Cluster")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub threads: Option<u32>,
-    /// How rays are traced; the picture is the same
-    #[arg(long, value_name = "KERNEL", value_enum, default_value_t, help_heading = "Cluster")]
-    pub kernel: KernelChoice,
+    #[command(flatten)]
+    pub backend: BackendArgs,
+    /// Let workers of different arithmetic (CPUs, kinds of GPU) render one picture
+    ///
+    /// Without it one class renders a picture, the one that is the fastest together, and others idle. The report of a mixed picture says
+    /// which class rendered how much, and how far they differ on a few tiles that both have rendered.
+    #[arg(long, help_heading = "Cluster")]
+    mix: bool,
     /// Write a JSON report of the render to a file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
@@ -123,9 +130,10 @@ pub fn run(args: RenderArgs, progress: &Progress) -> Result<(), CommandError> {
     let RenderArgs { scene, out, workers, master, frame } = args;
     let crew = match master {
         Some(join) => Crew::Master(super::join::parse(&join, "--master")?),
-        None => Crew::Local(LocalCrew { workers, threads: frame.threads, kernel: frame.kernel }),
+        None => Crew::Local(frame.local_crew(workers)),
     };
     let plan = Plan::check(&out, Some(&scene.scene), crew, &frame, &scene.packing)?;
+    let plan = plan.with_backend(progress)?;
     let prepared = prepare_scene(&scene.scene, &scene.packing, progress)?;
     plan.render(&prepared, progress)
 }
@@ -178,6 +186,12 @@ impl<'a> Plan<'a> {
         Ok(Self { out, report, format, features, crew, args })
     }
 
+    /// Settles what renders (see [`Crew::settle_backend`]).
+    pub fn with_backend(mut self, progress: &Progress) -> Result<Self, CommandError> {
+        self.crew.settle_backend(progress)?;
+        Ok(self)
+    }
+
     /// Renders, writes the files and says what was done.
     pub fn render(self, prepared: &Prepared, progress: &Progress) -> Result<(), CommandError> {
         let args = self.args;
@@ -198,6 +212,7 @@ impl<'a> Plan<'a> {
             features: self.features,
             format: self.format,
             balance: args.balance,
+            mix: args.mix,
         };
         let Rendered { frame, start } = render_frame(&prepared.pack, &job, &self.crew, progress)?;
         let begin = Instant::now();
@@ -206,7 +221,11 @@ impl<'a> Plan<'a> {
             prepared,
             job: &job,
             camera: CameraReport::new(name, &pose),
-            kernel: args.kernel.kernel().name(),
+            backend_note: match &self.crew {
+                Crew::Local(crew) => crew.note.clone(),
+                Crew::Master(_) => None,
+            },
+            kernel: args.backend.kernel.kernel().name(),
             out: self.out.path().to_owned(),
             hash: frame.image.hash(),
             start,
@@ -221,6 +240,11 @@ impl<'a> Plan<'a> {
 }
 
 impl FrameArgs {
+    /// `workers` processes of this machine, or none and this one.
+    pub fn local_crew(&self, workers: u32) -> LocalCrew {
+        LocalCrew { workers, threads: self.threads, backend: self.backend.clone(), opened: None, note: None }
+    }
+
     /// The view that was asked for, and its name in the scene if it has one.
     fn pose(&self, prepared: &Prepared) -> Result<(Option<String>, CameraPose), CommandError> {
         if let (Some(eye), Some(target), Some(fov_degrees)) = (self.eye, self.target, self.fov) {

@@ -1,5 +1,6 @@
 //! Preparing a scene and rendering one frame of it, for every command that does.
 
+use super::backend::BackendArgs;
 use super::progress::Progress;
 use super::{CommandError, LogArgs, PackingArgs, args};
 use std::path::Path;
@@ -12,7 +13,7 @@ use tessera_pack::{Pack, Plain};
 use tessera_scene::{LoadOptions, Without};
 use tessera_trust::Identity;
 use tessera_wire::JoinString;
-use tessera_worker::{Connected, Kernel, NUMERIC_CLASS, WorkerConfig, WorkerPipes};
+use tessera_worker::{Backend, Connected, WorkerConfig, WorkerPipes};
 
 impl PackingArgs {
     /// What the library is to do.
@@ -75,7 +76,7 @@ pub fn prepare_scene(
 }
 
 /// Where a frame is rendered.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub enum Crew {
     /// On this machine.
     Local(LocalCrew),
@@ -84,46 +85,46 @@ pub enum Crew {
 }
 
 /// Workers of this machine.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct LocalCrew {
     /// Worker processes; 0: in this process.
     pub workers: u32,
     /// Threads that each renders with; `None`: the machine's cores shared out evenly.
     pub threads: Option<u32>,
-    /// How each traces rays.
-    pub kernel: KernelChoice,
+    /// What renders in each of them.
+    pub backend: BackendArgs,
+    /// That, where it is open in this process already.
+    pub opened: Option<Backend>,
+    /// Why it was chosen, where this process has chosen for all of them.
+    pub note: Option<String>,
 }
 
-/// `--kernel`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub enum KernelChoice {
-    /// The fastest of this machine
-    #[default]
-    Auto,
-    /// Ray by ray
-    Scalar,
-    /// Eight rays at once
-    Wide,
+impl Crew {
+    /// Settles what renders, before any work that is in vain without the GPU that was asked for: of many worker processes each would
+    /// have to say that there is none, and those that measure at the same time may choose differently, so that some would idle.
+    pub fn settle_backend(&mut self, progress: &Progress) -> Result<(), CommandError> {
+        let Self::Local(crew) = self else { return Ok(()) };
+        crew.backend.check()?;
+        let chooses = crew.backend.is_auto() && crew.workers > 1 && has_gpu();
+        if !crew.backend.needs_gpu() && !chooses {
+            return Ok(());
+        }
+        let _bar = progress.step("looking for the GPU");
+        let opened = crew.backend.open()?;
+        if chooses {
+            tracing::info!("{}", opened.note());
+            crew.note = Some(opened.note().to_owned());
+            crew.backend.settle(&opened);
+        }
+        // Processes open it themselves, and this one leaves them its memory.
+        crew.opened = Some(opened).filter(|_| crew.workers == 0);
+        Ok(())
+    }
 }
 
-impl KernelChoice {
-    /// What it is on this machine.
-    pub fn kernel(self) -> Kernel {
-        match self {
-            Self::Auto => Kernel::auto(),
-            Self::Scalar => Kernel::Scalar,
-            Self::Wide => Kernel::wide(),
-        }
-    }
-
-    /// As it is written on a command line.
-    fn as_str(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Scalar => "scalar",
-            Self::Wide => "wide",
-        }
-    }
+/// Whether there is a GPU that `auto` might take.
+fn has_gpu() -> bool {
+    tessera_worker::adapters().iter().any(|adapter| adapter.unusable.is_none() && adapter.kind != "software")
 }
 
 /// A frame, and the time that starting the workers took.
@@ -144,7 +145,7 @@ pub fn render_frame(
     let runtime = runtime()?;
     let result = runtime.block_on(async {
         match crew {
-            Crew::Local(crew) => frame(pack, job, *crew, progress).await,
+            Crew::Local(crew) => frame(pack, job, crew, progress).await,
             Crew::Master(join) => frame_elsewhere(pack, job, join, progress).await,
         }
     });
@@ -201,14 +202,15 @@ async fn frame_over(
 async fn frame(
     pack: &Pack,
     job: &FrameJob,
-    crew: LocalCrew,
+    crew: &LocalCrew,
     progress: &Progress,
 ) -> Result<Rendered, CommandError> {
     let begin = Instant::now();
-    let config = ClusterConfig { numeric_class: Some(NUMERIC_CLASS.to_owned()), ..ClusterConfig::default() };
     let mut cluster = {
         let _bar = progress.step("starting workers");
-        Cluster::start(workers(crew, progress.log())?, config).await.map_err(CommandError::failed)?
+        Cluster::start(workers(crew, progress.log())?, ClusterConfig::default())
+            .await
+            .map_err(CommandError::failed)?
     };
     let start = begin.elapsed();
     tracing::info!("all workers have joined after {start:.1?}");
@@ -235,35 +237,34 @@ fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
         tessera_master::Progress::PackRejected { name, reason } => {
             tracing::warn!("{name} cannot hold the scene: {reason}; the others render it");
         }
-        tessera_master::Progress::Waiting { ahead } => {
-            tracing::warn!("waiting: the master renders for others first ({ahead} before this frame)");
-        }
-        tessera_master::Progress::NoWorkers => {
-            tracing::warn!("waiting: no worker has joined the master yet");
-        }
-        tessera_master::Progress::WorkerJoined { name, peer } => {
-            tracing::debug!("{name} has joined from {peer}");
-        }
         tessera_master::Progress::WorkerLost { name, reason } => {
             tracing::warn!("{name} is lost: {reason}; the others go on");
         }
+        tessera_master::Progress::Waiting { .. }
+        | tessera_master::Progress::NoWorkers
+        | tessera_master::Progress::Restarted { .. } => tracing::warn!("{event}"),
+        tessera_master::Progress::ClassChosen { .. } => tracing::info!("{event}"),
+        tessera_master::Progress::WorkerJoined { .. } => tracing::debug!("{event}"),
     }
 }
 
-fn workers(crew: LocalCrew, log: &LogArgs) -> Result<Workers, CommandError> {
+fn workers(crew: &LocalCrew, log: &LogArgs) -> Result<Workers, CommandError> {
     if crew.workers == 0 {
-        return Ok(Workers::Links(vec![worker_here(
-            crew.threads.unwrap_or_else(cores),
-            crew.kernel.kernel(),
-        )]));
+        let backend = match &crew.opened {
+            Some(opened) => opened.clone(),
+            None => crew.backend.open()?,
+        };
+        tracing::info!("{}", backend.note());
+        return Ok(Workers::Links(vec![worker_here(crew.threads.unwrap_or_else(cores), backend)]));
     }
     let program = std::env::current_exe()
         .map_err(|e| CommandError::Failed(format!("cannot find this program to start workers with: {e}")))?;
     Ok(Workers::Local(LocalWorkers {
         program,
-        args: ["worker", "--ticket", "--kernel", crew.kernel.as_str()]
+        args: ["worker", "--ticket"]
             .map(Into::into)
             .into_iter()
+            .chain(crew.backend.to_args())
             .chain(log.to_args())
             .collect(),
         count: crew.workers,
@@ -272,11 +273,11 @@ fn workers(crew: LocalCrew, log: &LogArgs) -> Result<Workers, CommandError> {
 }
 
 /// A worker within this process: the same code as in a process of its own, behind in-memory pipes.
-fn worker_here(threads: u32, kernel: Kernel) -> Link {
+fn worker_here(threads: u32, backend: Backend) -> Link {
     let (link, pipes) = Link::in_memory();
     let Pipes { control_in, control_out, bulk_in, bulk_out } = pipes;
     let pipes = WorkerPipes { control_in, control_out, bulk_in, bulk_out };
-    let config = WorkerConfig { name: "this process".into(), threads, kernel, memory: None, cache: None };
+    let config = WorkerConfig { name: "this process".into(), threads, backend, memory: None, cache: None };
     tokio::spawn(async move {
         if let Err(error) = tessera_worker::serve(pipes, config).await {
             tracing::debug!("the worker in this process ended: {error}");

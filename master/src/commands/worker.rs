@@ -1,15 +1,16 @@
 //! `tessera worker`.
 
 use super::args::{byte_size, time};
+use super::backend::BackendArgs;
 use super::interrupt::asked_to_stop;
-use super::run::{KernelChoice, cores, runtime};
+use super::run::{cores, runtime};
 use super::{CommandError, join};
 use clap::Args;
 use std::path::PathBuf;
 use std::time::Duration;
 use tessera_trust::Identity;
 use tessera_wire::limits;
-use tessera_worker::{Kernel, PackCache, RetryConfig, Stop, WorkerConfig, WorkerError};
+use tessera_worker::{Backend, PackCache, RetryConfig, Stop, WorkerConfig, WorkerError};
 use tokio::sync::watch;
 
 /// Whom to serve, and with what.
@@ -22,9 +23,13 @@ use tokio::sync::watch;
         hand, for which it has 5 s, and others get the rest; a second signal ends it at once), or when it is refused (1). When it loses a \
         master that has taken it, it joins again, slower and slower up to once in half a minute; a join string in a @FILE is read again \
         each time, so that a master that was started again finds its workers.\n\n\
+        It renders on a GPU if there is one that is faster than the CPU, else on the CPU, and says which and why when it starts; \
+        `tessera doctor` shows what there is. Workers of any kind join one master, which has each picture rendered by one kind of \
+        arithmetic, unless it is told to mix them. A scene that the GPU cannot hold is refused with numbers, and the others render it.\n\n\
         Packs are kept on disk by their hash, so that a worker that comes back need not be sent them again. Any number of workers may \
         share the folder; nothing else in it is touched.",
-    after_help = "Examples:\n  tessera worker --join @join.txt\n  TESSERA_JOIN=tessera1... tessera worker --threads 8 --name attic"
+    after_help = "Examples:\n  tessera worker --join @join.txt\n  TESSERA_JOIN=tessera1... tessera worker --threads 8 --name attic\n\
+        \x20 tessera worker --join @join.txt --backend gpu --gpu 1"
 )]
 pub struct WorkerArgs {
     /// The join string, or @FILE that holds it [default: $TESSERA_JOIN]
@@ -36,9 +41,8 @@ pub struct WorkerArgs {
     /// What the master calls this worker in logs and reports [default: the machine's name and the process's number]
     #[arg(long, value_name = "NAME", value_parser = name)]
     name: Option<String>,
-    /// How rays are traced; the picture is the same
-    #[arg(long, value_name = "KERNEL", value_enum, default_value_t)]
-    kernel: KernelChoice,
+    #[command(flatten)]
+    backend: BackendArgs,
     /// How long to try while no master takes this worker, as in 30s or 1h [default: once, and for ever after one has taken it]
     #[arg(long, value_name = "TIME", value_parser = time)]
     retry_for: Option<Duration>,
@@ -58,11 +62,19 @@ pub struct WorkerArgs {
 
 pub fn run(args: WorkerArgs) -> Result<(), CommandError> {
     let runtime = runtime()?;
-    let kernel = args.kernel.kernel();
-    let result = if args.ticket {
-        runtime.block_on(tessera_worker::run_local(kernel)).map_err(CommandError::failed)
+    // What can be wrong at once is said before a device is opened and measured.
+    let cache = if args.ticket {
+        None
     } else {
-        runtime.block_on(stay(args, kernel))
+        join::find(args.join.as_deref())?;
+        cache(&args)?
+    };
+    let backend = args.backend.open()?;
+    tracing::info!("{}", backend.note());
+    let result = if args.ticket {
+        runtime.block_on(tessera_worker::run_local(backend)).map_err(CommandError::failed)
+    } else {
+        runtime.block_on(stay(args, backend, cache))
     };
     // Standard input is read by a thread that would keep the runtime until the master closes it; a tile may be in the middle.
     runtime.shutdown_background();
@@ -70,12 +82,11 @@ pub fn run(args: WorkerArgs) -> Result<(), CommandError> {
 }
 
 /// Serves masters until one dismisses this worker, or it is asked to stop.
-async fn stay(args: WorkerArgs, kernel: Kernel) -> Result<(), CommandError> {
-    let cache = cache(&args)?;
+async fn stay(args: WorkerArgs, backend: Backend, cache: Option<PackCache>) -> Result<(), CommandError> {
     let own = Identity::new().map_err(CommandError::failed)?;
     let threads = args.threads.unwrap_or_else(cores);
     let name = args.name.unwrap_or_else(own_name);
-    let config = WorkerConfig { name, threads, kernel, memory: None, cache };
+    let config = WorkerConfig { name, threads, backend, memory: None, cache };
     let retry = RetryConfig {
         at_first: args.retry_for.unwrap_or(Duration::ZERO),
         again: args.retry_for,

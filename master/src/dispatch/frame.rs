@@ -193,6 +193,31 @@ impl Dispatch {
         Ok(true)
     }
 
+    /// Has `worker` render `tile`, which is in, once more; what comes of it is told by [`Dispatch::compared`], not [`Dispatch::accept`].
+    /// `None` if it takes no more.
+    pub fn compare(&mut self, worker: WorkerId, tile: TileId, now: Duration) -> Option<Assignment> {
+        let attempts = &mut self.tiles.get_mut(tile.0 as usize).filter(|tile| tile.done)?.attempts;
+        let hand = self.crew.get_mut(&worker).filter(|hand| !hand.leaving)?;
+        if hand.queued == 0 {
+            hand.since = now;
+        }
+        hand.queued += 1;
+        attempts.push(worker);
+        Some(Assignment { worker, attempt: Attempt(attempts.len() as u32 - 1), tiles: vec![tile] })
+    }
+
+    /// What [`Dispatch::compare`] asked of `worker` is in.
+    pub fn compared(&mut self, worker: WorkerId, now: Duration) {
+        if let Some(hand) = self.crew.get_mut(&worker) {
+            (hand.since, hand.worn) = (now, 0.0);
+        }
+    }
+
+    /// How long so many tiles a worker may take that are only compared.
+    pub fn compare_within(&self, tiles: u32) -> Duration {
+        self.pace.compare_within(tiles)
+    }
+
     /// `worker` takes no more tiles; those that it has rendered may still come. To be followed by [`Dispatch::lost`].
     pub fn leave(&mut self, worker: WorkerId) {
         if let Some(hand) = self.crew.get_mut(&worker) {
@@ -254,6 +279,11 @@ impl Dispatch {
     /// Tiles of the frame.
     pub fn total(&self) -> u32 {
         self.tiles.len() as u32
+    }
+
+    /// Living workers that take more tiles.
+    pub fn staying(&self) -> impl Iterator<Item = WorkerId> {
+        self.crew.iter().filter(|(_, hand)| !hand.leaving).map(|(&worker, _)| worker)
     }
 
     /// Living workers.
@@ -575,6 +605,28 @@ mod tests {
         d.accept(WorkerId(0), TileId(0), Attempt(0), NOW).unwrap();
         d.rendered(WorkerId(0), 1, NOW).unwrap();
         assert_eq!(d.deadline(), None);
+    }
+
+    #[test]
+    fn a_finished_tile_can_be_compared_and_does_not_count() {
+        let (mut d, _) = start(2, Balance::PaperStatic, 2);
+        assert_eq!(d.compare(WorkerId(0), TileId(1), NOW), None, "it is not in");
+        for w in [0, 1] {
+            assert_eq!(d.accept(WorkerId(w), TileId(w), Attempt(0), NOW), Ok(true));
+            d.rendered(WorkerId(w), 1, NOW).unwrap();
+        }
+        let again = d.compare(WorkerId(0), TileId(1), NOW);
+        let expected = Assignment { worker: WorkerId(0), attempt: Attempt(1), tiles: vec![TileId(1)] };
+        assert_eq!(again, Some(expected));
+        assert!(!d.owes(WorkerId(0)), "nothing is missing from the image");
+        assert!(d.deadline().is_some(), "it may stall");
+        assert_eq!(d.rendered(WorkerId(0), 1, NOW + SECOND), Ok(vec![]));
+        d.compared(WorkerId(0), NOW + SECOND);
+        assert!(d.is_done() && d.dropped() == 0 && d.deadline().is_none());
+        d.leave(WorkerId(0));
+        assert_eq!(d.compare(WorkerId(0), TileId(1), NOW), None, "it takes no more");
+        assert_eq!(d.compare(WorkerId(7), TileId(1), NOW), None, "nobody");
+        assert_eq!(d.staying().collect::<Vec<_>>(), [WorkerId(1)]);
     }
 
     #[test]

@@ -41,6 +41,12 @@ impl Pace {
     /// rendered the tile: a sample with its secondary rays takes microseconds, in the worst scenes a millisecond.
     const STALLED_SAMPLE: Duration = Duration::from_millis(10);
 
+    /// Tiles that are only compared may take a worker so many of the slowest ones each, which others of its class have rendered,
+    const COMPARE_SLOWEST: u32 = 4;
+
+    /// and this at least, as on a machine that is busy.
+    const COMPARE_LEAST: Duration = Duration::from_secs(5);
+
     pub(super) fn new(balance: Balance, samples: u64) -> Self {
         Self { balance, samples, tiles: 0, sum: Duration::ZERO, slowest: Duration::ZERO }
     }
@@ -73,6 +79,12 @@ impl Pace {
         let known = self.slowest.saturating_mul(Self::STALLED_SLOWEST);
         let tile = unknown.max(known);
         tile.saturating_mul(self.tiles_a_word(queued)).saturating_add(Self::STALLED_LEAST)
+    }
+
+    /// How long a worker may take for `tiles` that nobody needs for the image.
+    pub(super) fn compare_within(&self, tiles: u32) -> Duration {
+        let slowest = self.slowest.saturating_mul(Self::COMPARE_SLOWEST);
+        slowest.saturating_mul(tiles.max(1)).max(Self::COMPARE_LEAST)
     }
 
     /// Tiles that a worker with `queued` of them renders before its next word.

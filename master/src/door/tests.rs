@@ -111,7 +111,14 @@ async fn answer(pipe: &mut RecvStream) -> ToWorker {
 }
 
 fn hello(token: Token) -> Hello {
-    let abilities = Abilities { memory: 0, threads: 1, backend: "cpu".into(), numeric_class: "cpu-1".into() };
+    let abilities = Abilities {
+        memory: 0,
+        threads: 1,
+        backend: "cpu".into(),
+        numeric_class: "cpu-1".into(),
+        speed: 0,
+        note: String::new(),
+    };
     Hello { versions: Version::supported_numbers(), token, name: "w".into(), role: Role::Worker(abilities) }
 }
 

@@ -21,6 +21,8 @@ pub enum FromClient {
         frame: Frame,
         /// How tiles get to workers.
         balance: Balance,
+        /// Whether workers of several numeric classes may take part; the summary then says how far the classes differ.
+        mix: bool,
     },
     /// The client cuts the connection. To close it says the same, without words.
     Abort {
@@ -114,6 +116,15 @@ pub enum ToClient {
         /// For people.
         detail: String,
     },
+    /// The last worker of the frame's numeric class was lost, and workers of another begin it again.
+    Restarted {
+        /// The class before.
+        from: String,
+        /// The class now.
+        to: String,
+        /// Tiles that were in the image.
+        dropped: u32,
+    },
 }
 
 /// Why a client gets no frame.
@@ -143,14 +154,18 @@ pub enum FrameFailure {
 }
 
 /// Master to client: how a frame came about. `length` raw bytes follow, the image's rows from the top.
-#[derive(Clone, Debug, PartialEq, Eq, Encode, Decode)]
+#[derive(Clone, Debug, PartialEq, Encode, Decode)]
 pub struct FrameSummary {
     /// Which frame.
     pub frame: FrameId,
     /// Exactly the image in the frame's format.
     pub length: u64,
-    /// The arithmetic that rendered it.
-    pub numeric_class: String,
+    /// The arithmetics that rendered it, one unless they may be mixed; at most [`limits::CLASSES`].
+    pub classes: Vec<ClassSummary>,
+    /// How far they differ, by pairs that were compared.
+    pub differences: Vec<DifferenceSummary>,
+    /// Workers that hold the pack and had no part, because they are of other classes.
+    pub idle: u32,
     /// Who took part, at most [`limits::WORKERS`].
     pub workers: Vec<WorkerSummary>,
     /// Times by the master's clock, in microseconds: sending the pack, rendering, returning, the last two together.
@@ -168,6 +183,12 @@ pub struct FrameSummary {
 pub struct WorkerSummary {
     /// Its name.
     pub name: String,
+    /// What renders there.
+    pub backend: String,
+    /// Its arithmetic.
+    pub numeric_class: String,
+    /// Its word on the device.
+    pub note: String,
     /// Tiles of the image that came from it.
     pub tiles: u32,
     /// Time that it spent rendering those, in microseconds by its own clock.
@@ -180,10 +201,43 @@ pub struct WorkerSummary {
     pub rejected: Option<String>,
 }
 
-// `limits::HEADER_BYTES` counts on this: three texts a worker, and what it takes in memory.
-const _: () = assert!(
-    (size_of::<WorkerSummary>() + 3 * limits::TEXT_BYTES) * limits::WORKERS <= limits::HEADER_BYTES - 4096
-);
+/// A numeric class in an image.
+#[derive(Clone, Debug, PartialEq, Eq, Encode, Decode)]
+pub struct ClassSummary {
+    /// Its name.
+    pub class: String,
+    /// Workers of it that took part.
+    pub workers: u32,
+    /// Tiles of the image that came from them.
+    pub tiles: u32,
+}
+
+/// How far two classes differ: over tiles of the image that came from one of them and were rendered by the other too.
+#[derive(Clone, Debug, PartialEq, Encode, Decode)]
+pub struct DifferenceSummary {
+    /// Their names, in order.
+    pub classes: [String; 2],
+    /// Tiles that were compared.
+    pub tiles: u32,
+    /// Pixels of those.
+    pub pixels: u64,
+    /// Pixels with another byte.
+    pub differing: u64,
+    /// Largest difference of a red, green or blue value, in codes; in linear light for layers.
+    pub max_abs: f64,
+    /// Of red, green and blue, in dB; none when they are equal.
+    pub psnr_db: Option<f64>,
+}
+
+// `limits::HEADER_BYTES` counts on this: six texts a worker, one a class and two a pair of them, and what they take in memory.
+const _: () = {
+    let worker = size_of::<WorkerSummary>() + 6 * limits::TEXT_BYTES;
+    let class = size_of::<ClassSummary>() + limits::TEXT_BYTES;
+    let pair = size_of::<DifferenceSummary>() + 2 * limits::TEXT_BYTES;
+    let pairs = limits::CLASSES * (limits::CLASSES - 1) / 2;
+    let all = worker * limits::WORKERS + class * limits::CLASSES + pair * pairs;
+    assert!(all <= limits::HEADER_BYTES - 4096);
+};
 
 impl FrameSummary {
     /// Checks that it is of `frame` and announces its pixels; texts and lists are bounded by the message's limit.

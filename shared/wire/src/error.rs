@@ -81,6 +81,18 @@ pub enum PackRefusal {
         /// What is wrong.
         detail: String,
     },
+    /// What renders, or one of its limits, is too small for it; another backend of the same worker may do.
+    #[error(
+        "{what} can hold {has} bytes, the scene needs {needs}; start this worker with --backend cpu to render it"
+    )]
+    CannotHold {
+        /// Bytes that the scene needs there.
+        needs: u64,
+        /// Bytes that there are.
+        has: u64,
+        /// What holds them, as the beginning of a sentence: `the GPU NAME`, `one buffer of the GPU NAME`.
+        what: String,
+    },
 }
 
 impl PackRefusal {
@@ -89,6 +101,7 @@ impl PackRefusal {
         match self {
             Self::Transfer { detail } => Self::Transfer { detail: plain_text(&detail) },
             Self::Invalid { detail } => Self::Invalid { detail: plain_text(&detail) },
+            Self::CannotHold { needs, has, what } => Self::CannotHold { needs, has, what: plain_text(&what) },
             Self::OutOfMemory { .. } | Self::HashMismatch { .. } => self,
         }
     }
@@ -163,6 +176,8 @@ mod tests {
         assert_eq!(plain_text("a\u{2028}b\u{2029}c\u{202a}\u{202e}d\u{2066}\u{2069}é"), "abcdé");
         let refused = PackRefusal::Transfer { detail: "x\nforged".into() }.plain();
         assert_eq!(refused.to_string(), "bad transfer: xforged");
+        let refused = PackRefusal::CannotHold { needs: 3, has: 2, what: "the GPU x\n".into() }.plain();
+        assert!(refused.to_string().starts_with("the GPU x can hold 2 bytes, the scene needs 3"));
         assert_eq!(plain_text(&"é".repeat(400)), "é".repeat(256));
         assert_eq!(plain_text(&format!("a{}", "é".repeat(400))).len(), limits::TEXT_BYTES - 1);
     }

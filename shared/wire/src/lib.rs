@@ -25,7 +25,9 @@ mod version;
 
 pub use balance::Balance;
 pub use bulk::{BatchHeader, PackChunk, PackProgress, Rays, TileEntry};
-pub use client::{FrameFailure, FrameSummary, FromClient, ToClient, WorkerSummary};
+pub use client::{
+    ClassSummary, DifferenceSummary, FrameFailure, FrameSummary, FromClient, ToClient, WorkerSummary,
+};
 pub use error::{AbortCode, PackRefusal, Refusal, plain_text};
 pub use frame::{Camera, Features, Frame, FrameError, PixelFormat, ReturnMode};
 pub use grid::{Rect, TileGrid};

@@ -84,6 +84,9 @@ pub const INCOMING: usize = 64;
 /// Workers that a master takes, all of them in each frame's report.
 pub const WORKERS: usize = 1024;
 
+/// Numeric classes of one frame that are told of: a fleet has a handful of devices and drivers.
+pub const CLASSES: usize = 16;
+
 /// Clients that a master takes, and so frames that wait at it.
 pub const CLIENTS: usize = 32;
 

@@ -37,10 +37,15 @@ pub struct Abilities {
     pub memory: u64,
     /// Threads that render.
     pub threads: u32,
-    /// What renders, for people: `cpu`.
+    /// What renders, for people: `cpu`, `gpu`.
     pub backend: String,
     /// Workers of one class give equal bytes for equal frames.
     pub numeric_class: String,
+    /// Rays a second on the calibration tile, of all threads together; 0 when it was not measured. What the master compares between
+    /// classes, and nothing else depends on it.
+    pub speed: u64,
+    /// Which device renders, and why that one, for people: at most [`limits::TEXT_BYTES`] bytes without control characters.
+    pub note: String,
 }
 
 impl Hello {
@@ -57,6 +62,9 @@ impl Hello {
         if let Role::Worker(abilities) = &self.role {
             check_text("backend", &abilities.backend)?;
             check_text("numeric class", &abilities.numeric_class)?;
+            if !abilities.note.is_empty() {
+                check_text("note", &abilities.note)?;
+            }
             if abilities.threads == 0 {
                 return Err("0 threads".into());
             }

@@ -12,11 +12,14 @@ pub enum Version {
     /// `Hello` has a token and a role; certificates are pinned by fingerprint; reasons and close codes for joining. Not mixed with 1,
     /// whose peers knew each other by an authority that lived in one process.
     V2 = 2,
+    /// `Abilities` has a speed and a note on the device, `PackRefusal` a reason for what a GPU cannot hold; frames may mix numeric
+    /// classes: `Render` says so, `Restarted` and the summaries tell of classes and how far they differ.
+    V3 = 3,
 }
 
 impl Version {
     /// All versions that this build speaks, newest first.
-    pub const SUPPORTED: &'static [Self] = &[Self::V2];
+    pub const SUPPORTED: &'static [Self] = &[Self::V3];
 
     /// The number on the wire.
     pub const fn number(self) -> u16 {
@@ -45,12 +48,12 @@ mod tests {
 
     #[test]
     fn an_older_a_newer_and_a_disjoint_peer() {
-        assert_eq!(Version::common(&[2]), Some(Version::V2));
-        assert_eq!(Version::common(&[7, 3, 2, 1]), Some(Version::V2), "a newer one that still speaks ours");
-        assert_eq!(Version::common(&[1]), None, "an older one");
-        assert_eq!(Version::common(&[3, 4]), None, "a newer one");
+        assert_eq!(Version::common(&[3]), Some(Version::V3));
+        assert_eq!(Version::common(&[7, 4, 3, 1]), Some(Version::V3), "a newer one that still speaks ours");
+        assert_eq!(Version::common(&[2, 1]), None, "an older one");
+        assert_eq!(Version::common(&[4, 5]), None, "a newer one");
         assert_eq!(Version::common(&[]), None);
-        assert_eq!(Version::from_number(2), Some(Version::V2));
-        assert_eq!((Version::from_number(0), Version::from_number(1)), (None, None));
+        assert_eq!(Version::from_number(3), Some(Version::V3));
+        assert_eq!([0, 1, 2, 4].map(Version::from_number), [None; 4]);
     }
 }

@@ -33,7 +33,7 @@ messages! {
         Abort { code: u8, detail: String },
     }
     enum Role {
-        Worker { memory: u64, threads: u32, backend: String, numeric_class: String },
+        Worker { memory: u64, threads: u32, backend: String, numeric_class: String, speed: u64, note: String },
         Client,
     }
     enum PackRefusal {
@@ -41,6 +41,7 @@ messages! {
         HashMismatch { got: [u8; 32] },
         Transfer { detail: String },
         Invalid { detail: String },
+        CannotHold { needs: u64, has: u64, what: String },
     }
     enum ToWorker {
         Welcome { version: u16, worker: u32 },
@@ -65,7 +66,7 @@ messages! {
         Hello { versions: Vec<u16>, token: [u8; 16], name: String, role: Role },
         PackOffer { pack: [u8; 32], length: u64 },
         /// And the balance.
-        Render { frame: Frame, balance: u8 },
+        Render { frame: Frame, balance: u8, mix: bool },
         Abort { code: u8, detail: String },
     }
     enum ToClient {
@@ -83,6 +84,7 @@ messages! {
         Finished { frame: u64 },
         Failed { frame: u64, reason: FrameFailure },
         Abort { code: u8, detail: String },
+        Restarted { from: String, to: String, dropped: u32 },
     }
     enum FrameFailure {
         Busy { waiting: u32 },
@@ -93,15 +95,29 @@ messages! {
     struct FrameSummary {
         frame: u64,
         length: u64,
-        numeric_class: String,
+        classes: Vec<ClassSummary>,
+        differences: Vec<DifferenceSummary>,
+        idle: u32,
         workers: Vec<WorkerSummary>,
         times_us: [u64; 4],
         traffic: [u64; 4],
         rays: [u64; 4],
         dropped_tiles: u64,
     }
+    struct ClassSummary { class: String, workers: u32, tiles: u32 }
+    struct DifferenceSummary {
+        classes: [String; 2],
+        tiles: u32,
+        pixels: u64,
+        differing: u64,
+        max_abs: f64,
+        psnr_db: Option<f64>,
+    }
     struct WorkerSummary {
         name: String,
+        backend: String,
+        numeric_class: String,
+        note: String,
         tiles: u32,
         render_us: u64,
         bytes_returned: u64,
@@ -143,7 +159,7 @@ messages! {
 #[test]
 fn wincode_reads_and_writes_every_golden_line() {
     let mut lines = 0;
-    for line in include_str!("golden_v2.txt").lines() {
+    for line in include_str!("golden_v3.txt").lines() {
         let (name, hex) = line.rsplit_once(": ").expect("a name and its bytes");
         let frame: Vec<u8> = (0..hex.len() / 2)
             .map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).expect("hexadecimal digits"))
@@ -168,7 +184,7 @@ fn wincode_reads_and_writes_every_golden_line() {
 #[test]
 fn what_wincode_reads_is_what_was_meant() {
     let golden = |name: &str| {
-        let line = include_str!("golden_v2.txt")
+        let line = include_str!("golden_v3.txt")
             .lines()
             .find_map(|line| line.strip_prefix(name)?.strip_prefix(": "));
         let hex = line.expect("a golden line").to_owned();
@@ -176,11 +192,17 @@ fn what_wincode_reads_is_what_was_meant() {
             .map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).expect("hexadecimal digits"))
             .collect::<Vec<_>>()
     };
-    let role =
-        Role::Worker { memory: 1 << 33, threads: 8, backend: "cpu".into(), numeric_class: "cpu-1".into() };
+    let role = Role::Worker {
+        memory: 1 << 33,
+        threads: 8,
+        backend: "cpu".into(),
+        numeric_class: "cpu-1".into(),
+        speed: 5_000_000,
+        note: "n".into(),
+    };
     assert_eq!(
         same::<ToMaster, _>("hello", &golden("to master, hello"), config!()),
-        ToMaster::Hello { versions: vec![2], token: [0x5C; 16], name: "w0".into(), role }
+        ToMaster::Hello { versions: vec![3], token: [0x5C; 16], name: "w0".into(), role }
     );
     assert_eq!(
         same::<ToWorker, _>("assign", &golden("to worker, assign"), config!()),

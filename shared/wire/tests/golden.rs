@@ -1,4 +1,4 @@
-//! The bytes of every message in version 2. A change here is a change of the protocol: add a `Version`, keep
+//! The bytes of every message in version 3. A change here is a change of the protocol: add a `Version`, keep
 //! the old lines of versions that are still spoken.
 
 mod samples;
@@ -26,7 +26,7 @@ fn every_message_keeps_its_bytes() {
     line(&mut text, "bulk, pack chunk", &samples::chunk());
     line(&mut text, "bulk, batch", &samples::batch());
     line(&mut text, "stdin, ticket", &samples::ticket());
-    let golden = include_str!("golden_v2.txt");
+    let golden = include_str!("golden_v3.txt");
     for (now, then) in text.lines().zip(golden.lines()) {
         assert_eq!(now, then);
     }
@@ -49,6 +49,10 @@ fn line<M: Message + PartialEq + std::fmt::Debug>(text: &mut String, name: &str,
 /// What a worker of version 1 says first: versions [1], name `w0`, and fields that came before the token.
 const HELLO_V1: &str = "000101027730fd00000000020000000803637075056370752d31";
 
+/// And one of version 2: versions [2], a token, name `w0`, and abilities without a speed.
+const HELLO_V2: &str =
+    "0001025c5c5c5c5c5c5c5c5c5c5c5c5c5c5c5c02773000fd00000000020000000803637075056370752d31";
+
 fn bytes(hexadecimal: &str) -> Vec<u8> {
     let pairs = hexadecimal.as_bytes().chunks(2).map(|pair| std::str::from_utf8(pair).expect("ASCII"));
     pairs.map(|pair| u8::from_str_radix(pair, 16).expect("hexadecimal")).collect()
@@ -68,14 +72,16 @@ fn body(message: &impl Message) -> Vec<u8> {
 #[test]
 fn peers_of_other_versions_part_with_a_reason() {
     let refused = Refusal::Version { supported: Version::supported_numbers() };
-    assert_eq!(codec::decode_hello(&bytes(HELLO_V1)), Err(refused.clone()), "an older one");
-    let own = hello(&[2]);
+    for older in [HELLO_V1, HELLO_V2] {
+        assert_eq!(codec::decode_hello(&bytes(older)), Err(refused.clone()), "an older one");
+    }
+    let own = hello(&[3]);
     assert_eq!(codec::decode_hello(&body(&ToMaster::Hello(own.clone()))), Ok(own));
-    let both = hello(&[3, 2]);
+    let both = hello(&[4, 3]);
     let mut newer = body(&ToMaster::Hello(both.clone()));
-    newer.extend(b"a field of version 3");
+    newer.extend(b"a field of version 4");
     assert_eq!(codec::decode_hello(&newer), Ok(both), "a newer one that speaks ours");
-    let mut disjoint = body(&ToMaster::Hello(hello(&[3])));
+    let mut disjoint = body(&ToMaster::Hello(hello(&[4])));
     // Nothing behind the list is read.
     disjoint.truncate(4);
     assert_eq!(codec::decode_hello(&disjoint), Err(refused.clone()), "a newer one that does not");
@@ -85,7 +91,7 @@ fn peers_of_other_versions_part_with_a_reason() {
 
 #[test]
 fn before_the_answer_a_worker_and_a_client_look_alike() {
-    let own = hello(&[2]);
+    let own = hello(&[3]);
     assert_eq!(body(&ToMaster::Hello(own.clone())), body(&FromClient::Hello(own)));
     for (_, message) in samples::to_worker() {
         if let ToWorker::Refuse(refusal) = message {
@@ -104,13 +110,13 @@ fn what_is_no_hello_is_refused_with_a_reason() {
     malformed(&[]);
     malformed(&[0xff; 40]);
     assert_eq!(malformed(&[0; 5000]), "a message of 5000 bytes: at most 4096 are allowed here");
-    let own = body(&ToMaster::Hello(hello(&[2])));
+    let own = body(&ToMaster::Hello(hello(&[3])));
     for end in 0..own.len() {
         malformed(&own[..end]);
     }
-    let mut wild = hello(&[2]);
+    let mut wild = hello(&[3]);
     wild.name = "\x1b[2J".into();
     assert!(malformed(&body(&ToMaster::Hello(wild))).starts_with("name must have"));
-    let many = hello(&[2; limits::VERSIONS + 1]);
+    let many = hello(&[3; limits::VERSIONS + 1]);
     assert_eq!(malformed(&body(&ToMaster::Hello(many))), "17 versions, at most 16 are allowed");
 }

@@ -181,6 +181,9 @@ fn the_largest_honest_messages_fit() {
     let text = |letter: &str| letter.repeat(limits::TEXT_BYTES);
     let worker = WorkerSummary {
         name: text("n"),
+        backend: text("b"),
+        numeric_class: text("c"),
+        note: text("d"),
         tiles: u32::MAX,
         render_us: u64::MAX,
         bytes_returned: u64::MAX,
@@ -189,7 +192,19 @@ fn the_largest_honest_messages_fit() {
     };
     let summary = FrameSummary {
         length: u64::MAX,
-        numeric_class: text("c"),
+        classes: vec![ClassSummary { class: text("c"), workers: u32::MAX, tiles: u32::MAX }; limits::CLASSES],
+        differences: vec![
+            DifferenceSummary {
+                classes: [text("c"), text("d")],
+                tiles: u32::MAX,
+                pixels: u64::MAX,
+                differing: u64::MAX,
+                max_abs: f64::MAX,
+                psnr_db: Some(f64::MAX),
+            };
+            limits::CLASSES * (limits::CLASSES - 1) / 2
+        ],
+        idle: u32::MAX,
         workers: vec![worker; limits::WORKERS],
         times_us: [u64::MAX; 4],
         traffic: [u64::MAX; 4],
@@ -199,7 +214,7 @@ fn the_largest_honest_messages_fit() {
     let frame = codec::encode(&summary).unwrap();
     assert_eq!(decode_checked::<FrameSummary>(&frame[codec::PREFIX_BYTES..]), Ok(summary));
     let hello = Hello {
-        versions: vec![u16::MAX - 1, 2].into_iter().cycle().take(limits::VERSIONS).collect(),
+        versions: vec![u16::MAX - 1, 3].into_iter().cycle().take(limits::VERSIONS).collect(),
         token: Token([0xFF; 16]),
         name: text("n"),
         role: Role::Worker(Abilities {
@@ -207,6 +222,8 @@ fn the_largest_honest_messages_fit() {
             threads: u32::MAX,
             backend: text("b"),
             numeric_class: text("c"),
+            speed: u64::MAX,
+            note: text("d"),
         }),
     };
     let frame = codec::encode(&ToMaster::Hello(hello.clone())).unwrap();

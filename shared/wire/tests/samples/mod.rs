@@ -30,10 +30,16 @@ pub fn to_master() -> Vec<(&'static str, ToMaster)> {
     let detail = || "d".to_string();
     let rejected = |reason| ToMaster::PackRejected { pack: PACK, reason };
     let hello = |role| {
-        ToMaster::Hello(Hello { versions: vec![2], token: Token([0x5C; 16]), name: "w0".into(), role })
+        ToMaster::Hello(Hello { versions: vec![3], token: Token([0x5C; 16]), name: "w0".into(), role })
     };
-    let abilities =
-        Abilities { memory: 1 << 33, threads: 8, backend: "cpu".into(), numeric_class: "cpu-1".into() };
+    let abilities = Abilities {
+        memory: 1 << 33,
+        threads: 8,
+        backend: "cpu".into(),
+        numeric_class: "cpu-1".into(),
+        speed: 5_000_000,
+        note: "n".into(),
+    };
     vec![
         ("hello", hello(Role::Worker(abilities))),
         ("hello: client", hello(Role::Client)),
@@ -43,6 +49,7 @@ pub fn to_master() -> Vec<(&'static str, ToMaster)> {
         ("rejected: hash", rejected(PackRefusal::HashMismatch { got: PackId([0xCD; 32]) })),
         ("rejected: transfer", rejected(PackRefusal::Transfer { detail: detail() })),
         ("rejected: invalid", rejected(PackRefusal::Invalid { detail: detail() })),
+        ("rejected: device", rejected(PackRefusal::CannotHold { needs: 1000, has: 100, what: "w".into() })),
         ("rendered", ToMaster::Rendered { frame: FrameId(7), tiles: 1 }),
         ("leave", ToMaster::Leave),
         ("abort", ToMaster::Abort { code: AbortCode::Internal, detail: detail() }),
@@ -53,8 +60,8 @@ pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
     let abort = |code| ToWorker::Abort { code, detail: String::new() };
     let tiles = vec![TileId(0), TileId(250), TileId(251), TileId(65_535)];
     vec![
-        ("welcome", ToWorker::Welcome { version: 2, worker: WorkerId(3) }),
-        ("refuse: version", ToWorker::Refuse(Refusal::Version { supported: vec![2] })),
+        ("welcome", ToWorker::Welcome { version: 3, worker: WorkerId(3) }),
+        ("refuse: version", ToWorker::Refuse(Refusal::Version { supported: vec![3] })),
         ("refuse: class", ToWorker::Refuse(Refusal::NumericClass { expected: "cpu-1".into() })),
         ("refuse: malformed", ToWorker::Refuse(Refusal::Malformed { detail: "d".into() })),
         ("refuse: token", ToWorker::Refuse(Refusal::Token)),
@@ -81,8 +88,8 @@ pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
 }
 
 pub fn from_client() -> Vec<(&'static str, FromClient)> {
-    let hello = Hello { versions: vec![2], token: Token([0x5C; 16]), name: "c0".into(), role: Role::Client };
-    let render = |balance| FromClient::Render { frame: frame(), balance };
+    let hello = Hello { versions: vec![3], token: Token([0x5C; 16]), name: "c0".into(), role: Role::Client };
+    let render = |balance| FromClient::Render { frame: frame(), balance, mix: false };
     vec![
         ("hello", FromClient::Hello(hello)),
         ("pack offer", FromClient::PackOffer { pack: PACK, length: 5_000_000_000 }),
@@ -90,6 +97,7 @@ pub fn from_client() -> Vec<(&'static str, FromClient)> {
         ("render: static", render(Balance::Static)),
         ("render: paper dynamic", render(Balance::PaperDynamic)),
         ("render: dynamic", render(Balance::Dynamic)),
+        ("render: mixed", FromClient::Render { frame: frame(), balance: Balance::Dynamic, mix: true }),
         ("abort", FromClient::Abort { code: AbortCode::Done, detail: "d".into() }),
     ]
 }
@@ -99,7 +107,7 @@ pub fn to_client() -> Vec<(&'static str, ToClient)> {
     let failed = |reason| ToClient::Failed { frame: FrameId(7), reason };
     let rejected = PackRefusal::OutOfMemory { needs: 1000, has: 100 };
     vec![
-        ("welcome", ToClient::Welcome { version: 2 }),
+        ("welcome", ToClient::Welcome { version: 3 }),
         ("refuse", ToClient::Refuse(Refusal::Token)),
         ("pack need", ToClient::PackNeed { pack: PACK, have: true }),
         ("pack ready", ToClient::PackReady { pack: PACK }),
@@ -116,12 +124,16 @@ pub fn to_client() -> Vec<(&'static str, ToClient)> {
         ("failed: crew", failed(FrameFailure::Crew { detail: reason() })),
         ("failed: stopping", failed(FrameFailure::Stopping)),
         ("abort", ToClient::Abort { code: AbortCode::Timeout, detail: reason() }),
+        ("restarted", ToClient::Restarted { from: "gpu-1".into(), to: "cpu-1".into(), dropped: 3 }),
     ]
 }
 
 pub fn summary() -> FrameSummary {
     let worker = |lost, rejected| WorkerSummary {
         name: "w0".into(),
+        backend: "cpu".into(),
+        numeric_class: "cpu-1".into(),
+        note: "n".into(),
         tiles: 48,
         render_us: 1 << 20,
         bytes_returned: 1 << 33,
@@ -131,12 +143,31 @@ pub fn summary() -> FrameSummary {
     FrameSummary {
         frame: FrameId(7),
         length: 1024 * 768 * 4,
-        numeric_class: "cpu-1".into(),
+        classes: vec![
+            ClassSummary { class: "cpu-1".into(), workers: 2, tiles: 40 },
+            ClassSummary { class: "gpu-1".into(), workers: 1, tiles: 300 },
+        ],
+        differences: vec![
+            DifferenceSummary { psnr_db: None, ..difference() },
+            DifferenceSummary { max_abs: 3.0, psnr_db: Some(60.5), differing: 9, ..difference() },
+        ],
+        idle: 4,
         workers: vec![worker(None, None), worker(Some("l".into()), Some("r".into()))],
         times_us: [1, 2, 300, 302],
         traffic: [4, 5, 6, 70_000],
         rays: Rays { primary: 16_384, shadow: 16_000, reflection: 100, refraction: 0 },
         dropped_tiles: 9,
+    }
+}
+
+pub fn difference() -> DifferenceSummary {
+    DifferenceSummary {
+        classes: ["cpu-1".into(), "gpu-1".into()],
+        tiles: 4,
+        pixels: 65_536,
+        differing: 0,
+        max_abs: 0.0,
+        psnr_db: None,
     }
 }
 

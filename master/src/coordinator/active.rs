@@ -1,0 +1,293 @@
+//! The frame that is being rendered.
+
+use super::{BeginError, Outcome};
+use crate::{
+    ClassDifference, ClassPart, FrameBuffer, FrameJob, Timings, WorkerReport,
+    dispatch::{Assignment, Check, Checks, Dispatch, Violation, choose},
+};
+use std::{
+    cmp::Reverse,
+    collections::{BTreeMap, BTreeSet},
+    time::Duration,
+};
+use tessera_wire::{Abilities, Frame, PackRefusal, Rays, TileEntry, TileGrid, TileId, WorkerId, limits};
+
+#[derive(Debug)]
+pub(super) struct Active {
+    pub(super) frame: Frame,
+    pub(super) job: FrameJob,
+    /// The numeric class that renders it; `None` for a mix, and while nobody has a part.
+    pub(super) class: Option<String>,
+    pub(super) dispatch: Dispatch,
+    pub(super) reports: Vec<(WorkerId, WorkerReport)>,
+    /// Until when the next tile of a worker must be in, for as long as it owes pixels.
+    pub(super) due: BTreeMap<WorkerId, Duration>,
+    pub(super) late: u64,
+    /// Until when a frame without workers waits for one.
+    pub(super) alone: Option<Duration>,
+    pub(super) given_up: bool,
+    pub(super) last_rendered: Duration,
+    grid: TileGrid,
+    image: FrameBuffer,
+    rays: Rays,
+    /// From whom each tile of the image is, for a mix.
+    origins: BTreeMap<TileId, WorkerId>,
+    checks: Option<Checks>,
+    begun: Duration,
+    /// When the last tile of the image came, and when it was said to be rendered.
+    completed: Option<(Duration, Duration)>,
+}
+
+impl Active {
+    /// A frame that nobody has a part in yet; [`Active::assemble`] comes next.
+    pub(super) fn new(frame: Frame, job: &FrameJob, now: Duration) -> Result<Self, BeginError> {
+        let grid = frame.check()?;
+        let image = FrameBuffer::new(job.width, job.height, job.format)?;
+        let (dispatch, _) = Dispatch::start(&grid, job.balance, job.samples, &[], now);
+        Ok(Self {
+            frame,
+            job: job.clone(),
+            class: None,
+            dispatch,
+            reports: Vec::new(),
+            due: BTreeMap::new(),
+            late: 0,
+            alone: None,
+            given_up: false,
+            last_rendered: now,
+            grid,
+            image,
+            rays: Rays::default(),
+            origins: BTreeMap::new(),
+            checks: None,
+            begun: now,
+            completed: None,
+        })
+    }
+
+    /// Begins with `workers`, of `class` unless classes may be mixed: their first tiles. What others have rendered before is dropped,
+    /// so that no picture mixes classes that may not.
+    pub(super) fn assemble(
+        &mut self,
+        class: Option<String>,
+        workers: &[WorkerId],
+        now: Duration,
+    ) -> Vec<Assignment> {
+        self.late += self.dispatch.dropped() + u64::from(self.dispatch.done());
+        for (_, report) in &mut self.reports {
+            (report.tiles, report.render) = (0, Duration::ZERO);
+        }
+        // The image is written over: the frame is complete only when each tile has come again.
+        (self.rays, self.alone) = (Rays::default(), None);
+        self.due.clear();
+        self.class = class;
+        let (dispatch, assignments) =
+            Dispatch::start(&self.grid, self.job.balance, self.job.samples, workers, now);
+        self.dispatch = dispatch;
+        assignments
+    }
+
+    /// Whether workers of `class` have a part in it.
+    pub(super) fn takes(&self, class: &str) -> bool {
+        self.job.mix || self.class.as_deref().is_none_or(|own| own == class)
+    }
+
+    /// Whether everything is in, comparisons of classes too.
+    pub(super) fn is_over(&self) -> bool {
+        self.dispatch.is_done() && self.checks.as_ref().is_none_or(Checks::is_over)
+    }
+
+    /// Puts a tile into the image: whether it was the first for its place, or what is wrong with it.
+    pub(super) fn tile(
+        &mut self,
+        worker: WorkerId,
+        entry: &TileEntry,
+        pixels: &[u8],
+        wire_bytes: u64,
+        now: Duration,
+    ) -> Result<bool, String> {
+        let not_there = Violation::NotAssigned { tile: entry.tile.0, attempt: entry.attempt.0 };
+        let rect = self.grid.rect(entry.tile).ok_or_else(|| not_there.to_string())?;
+        let expected =
+            u64::from(rect.width) * u64::from(rect.height) * self.image.format().bytes_per_pixel() as u64;
+        if pixels.len() as u64 != expected {
+            return Err(format!("tile {} has {} bytes instead of {expected}", entry.tile.0, pixels.len()));
+        }
+        let report = self.reports.iter_mut().find(|(w, _)| *w == worker).map(|(_, report)| report);
+        let checks = self.checks.as_mut();
+        if let Some(difference) = checks.and_then(|c| c.take(worker, entry.tile, entry.attempt)) {
+            let in_image = self.image.get(rect.x, rect.y, rect.width, rect.height);
+            difference.add(self.image.format(), &in_image.unwrap_or_default(), pixels);
+            self.dispatch.compared(worker, now);
+            if let Some(report) = report {
+                report.bytes_returned += wire_bytes;
+            }
+            return Ok(false);
+        }
+        let first = self
+            .dispatch
+            .accept(worker, entry.tile, entry.attempt, now)
+            .map_err(|violation| violation.to_string())?;
+        if let Some(report) = report {
+            report.bytes_returned += wire_bytes;
+            if first {
+                report.tiles += 1;
+                report.render += Duration::from_micros(entry.render_us.into());
+            }
+        }
+        if first {
+            self.image.put(rect.x, rect.y, rect.width, rect.height, pixels).map_err(|e| e.to_string())?;
+            self.rays += entry.rays;
+            self.due.insert(worker, now + limits::RETURN_TIMEOUT);
+            if self.job.mix {
+                self.origins.insert(entry.tile, worker);
+            }
+            if self.dispatch.is_done() {
+                // Pixels may overtake the word that they are rendered: then rendering has hidden the return entirely.
+                let rendered = if self.dispatch.all_rendered() { self.last_rendered } else { now };
+                self.completed = Some((now, rendered));
+            }
+        }
+        Ok(first)
+    }
+
+    /// The image is complete: what other classes render of it once more, so that the report can say how far they differ.
+    pub(super) fn compare_classes(&mut self, now: Duration) -> Vec<Assignment> {
+        let parts = self.parts();
+        if !self.job.mix || parts.len() < 2 {
+            return Vec::new();
+        }
+        let classes: BTreeSet<&str> = parts.iter().map(|part| part.class.as_str()).collect();
+        let class_of = self.reports.iter().map(|(worker, report)| (*worker, report.numeric_class.as_str()));
+        let class_of: BTreeMap<_, _> = class_of.filter(|(_, class)| classes.contains(class)).collect();
+        let mut tiles = BTreeMap::<&str, Vec<TileId>>::new();
+        for (&tile, &worker) in &self.origins {
+            if let Some(&class) = class_of.get(&worker) {
+                tiles.entry(class).or_default().push(tile);
+            }
+        }
+        let mut crews = BTreeMap::<&str, Vec<WorkerId>>::new();
+        for worker in self.dispatch.staying() {
+            if let Some(&class) = class_of.get(&worker) {
+                crews.entry(class).or_default().push(worker);
+            }
+        }
+        // Who renders what, by turns within a class.
+        let mut wanted = Vec::new();
+        for (turn, (class, tile)) in choose(&self.grid, &tiles).into_iter().enumerate() {
+            for (&other, crew) in crews.iter().filter(|(other, _)| **other != class) {
+                let pair = [class.min(other), class.max(other)].map(String::from);
+                wanted.push((crew[turn % crew.len()], tile, pair));
+            }
+        }
+        let (mut awaited, mut assignments) = (Vec::new(), Vec::new());
+        for (worker, tile, classes) in wanted {
+            if let Some(assignment) = self.dispatch.compare(worker, tile, now) {
+                awaited.push(Check { worker, tile, attempt: assignment.attempt, classes });
+                assignments.push(assignment);
+            }
+        }
+        let within = self.dispatch.compare_within(awaited.len() as u32);
+        self.checks = Some(Checks::new(awaited, now + within));
+        assignments
+    }
+
+    /// Time has passed: nobody waits longer for comparisons than they are worth.
+    pub(super) fn tick(&mut self, now: Duration) {
+        if let Some(checks) = &mut self.checks {
+            checks.tick(now);
+        }
+    }
+
+    /// `worker` is gone; who gets its tiles.
+    pub(super) fn lost(&mut self, worker: WorkerId, reason: &str, now: Duration) -> Vec<Assignment> {
+        if let Some((_, report)) = self.reports.iter_mut().find(|(w, _)| *w == worker) {
+            report.lost = Some(reason.into());
+        }
+        if let Some(checks) = &mut self.checks {
+            checks.lost(worker);
+        }
+        self.dispatch.lost(worker, now)
+    }
+
+    pub(super) fn deadline(&self) -> Option<Duration> {
+        if self.is_over() || self.given_up {
+            return None;
+        }
+        let checks = self.checks.iter().filter_map(Checks::deadline);
+        let returns = self.due().map(|(_, due)| due);
+        returns.chain(self.dispatch.deadline()).chain(self.alone).chain(checks).min()
+    }
+
+    /// Workers that owe pixels, and until when the next tile of each must be in.
+    pub(super) fn due(&self) -> impl Iterator<Item = (WorkerId, Duration)> {
+        self.due.iter().map(|(&worker, &due)| (worker, due)).filter(|&(worker, _)| self.dispatch.owes(worker))
+    }
+
+    /// The classes of the tiles in the image, those with most tiles first, as many as are told of.
+    fn parts(&self) -> Vec<ClassPart> {
+        let mut parts = BTreeMap::<&str, ClassPart>::new();
+        for (_, report) in self.reports.iter().filter(|(_, report)| report.rejected.is_none()) {
+            let class = report.numeric_class.as_str();
+            let new = || ClassPart { class: class.into(), workers: 0, tiles: 0 };
+            let part = parts.entry(class).or_insert_with(new);
+            part.workers += 1;
+            part.tiles += report.tiles;
+        }
+        let mut parts: Vec<_> = parts.into_values().filter(|part| part.tiles > 0).collect();
+        parts.sort_by_key(|part| Reverse(part.tiles));
+        parts.truncate(limits::CLASSES);
+        parts
+    }
+
+    /// `idle`: workers that had no part because of their class.
+    pub(super) fn outcome(self, idle: u32) -> Option<Outcome> {
+        let (completed, rendered) = self.completed?;
+        let since_begin = |time: Duration| time.saturating_sub(self.begun);
+        let timings = Timings {
+            send_scene: Duration::ZERO,
+            render: since_begin(rendered),
+            return_: completed.saturating_sub(rendered),
+            frame: since_begin(completed),
+        };
+        let classes = self.parts();
+        let format = self.image.format();
+        let found = self.checks.into_iter().flat_map(Checks::into_found);
+        let differences = found.map(|(classes, found)| ClassDifference {
+            classes,
+            tiles: found.tiles,
+            pixels: found.pixels,
+            differing: found.differing,
+            max_abs: found.max_abs,
+            psnr_db: found.psnr_db(format),
+        });
+        Some(Outcome {
+            image: self.image,
+            classes,
+            differences: differences.collect(),
+            idle,
+            workers: self.reports.into_iter().map(|(_, report)| report).collect(),
+            timings,
+            rays: self.rays,
+            dropped_tiles: self.dispatch.dropped() + self.late,
+        })
+    }
+}
+
+impl WorkerReport {
+    /// Of a worker that takes part from now on, or has `rejected` the pack.
+    pub(super) fn new(name: &str, abilities: Option<&Abilities>, rejected: Option<&PackRefusal>) -> Self {
+        let text = |of: fn(&Abilities) -> &String| abilities.map_or("?".into(), |a| of(a).clone());
+        Self {
+            name: name.into(),
+            backend: text(|a| &a.backend),
+            numeric_class: text(|a| &a.numeric_class),
+            note: text(|a| &a.note),
+            tiles: 0,
+            render: Duration::ZERO,
+            bytes_returned: 0,
+            lost: None,
+            rejected: rejected.map(ToString::to_string),
+        }
+    }
+}
