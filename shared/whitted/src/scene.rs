@@ -77,6 +77,10 @@ impl<'a> Renderer<'a> {
         &self.materials[self.pack.material_of(id) as usize]
     }
 
+    pub(crate) fn triangle_count(&self) -> u32 {
+        self.pack.triangle_count()
+    }
+
     /// The flattened scene's id of packed triangle `id`.
     pub(crate) fn original_id(&self, id: u32) -> u32 {
         self.pack.original_id(id)
@@ -99,6 +103,11 @@ impl<'a> Renderer<'a> {
         }
 
         // Compare alpha with the cut-off.
+        self.mask_alpha(material, hit) >= material.alpha_cutoff
+    }
+
+    /// What [`Renderer::is_solid`] compares with the cut-off of `material`, which is that of `hit`.
+    pub(crate) fn mask_alpha(&self, material: &Material, hit: &Hit) -> f32 {
         let indices = self.mesh.indices(hit.triangle);
         let mut alpha = material.base_color[3];
         if self.needs.colors {
@@ -107,7 +116,7 @@ impl<'a> Renderer<'a> {
         if self.needs.uvs && material.base_texture != NO_TEXTURE && alpha > 0.0 {
             alpha *= self.images.lookup_alpha(material.base_texture, self.uv_at(indices, hit));
         }
-        alpha >= material.alpha_cutoff
+        alpha
     }
 
     /// Whether a ray along `direction` meets `hit` on a side that is seen.
@@ -145,7 +154,7 @@ pub(crate) fn lets_light_through(material: &Material) -> bool {
 
 /// Whether a surface of this material is not there for a ray that looks at its back. What transmits light keeps its
 /// back, single-sided or not: a ray must meet the far side of a glass body from within.
-fn hides_its_back(material: &Material) -> bool {
+pub(crate) fn hides_its_back(material: &Material) -> bool {
     material.flags & MaterialFlags::DOUBLE_SIDED == 0 && material.transmission == 0.0
 }
 
