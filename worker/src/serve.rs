@@ -150,7 +150,7 @@ pub(crate) async fn serve_until(
         Ok(driver) => driver,
         Err(error) => return Served { was_welcomed: false, outcome: Err(error) },
     };
-    let mut session = Session::start(hello, memory, begun.elapsed());
+    let mut session = Session::start(hello, memory, cpu::TILES_AHEAD, begun.elapsed());
     let outcome = drive(driver, &mut session, begun, stop).await;
     Served { was_welcomed: session.was_welcomed(), outcome }
 }
@@ -204,7 +204,7 @@ struct Driver {
     events: mpsc::Receiver<Event>,
     control: mpsc::UnboundedSender<ToMaster>,
     control_writer: JoinHandle<()>,
-    /// At most one longer than `limits::BATCHES_IN_FLIGHT`: the session sees to it.
+    /// At most as many longer than `limits::BATCHES_IN_FLIGHT` as tiles are rendered ahead: the session sees to it.
     bulk: mpsc::UnboundedSender<Batch>,
     bulk_writer: JoinHandle<()>,
     /// At most one long: likewise.
@@ -292,6 +292,7 @@ impl Driver {
                 Some(pack) => self.renderer.render(task, pack.clone()),
                 None => session.abort(AbortCode::Internal, "a tile without a pack".into()),
             },
+            // With one tile ahead, all that is with the renderer is the last tile.
             Action::StopRendering => self.renderer.stop(),
             Action::Over(ending) => return Some(ending),
         }

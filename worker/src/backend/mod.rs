@@ -131,6 +131,11 @@ impl Backend {
         Ok(())
     }
 
+    /// How many tiles it is handed before it has finished any; at least 1.
+    pub fn tiles_ahead(&self) -> usize {
+        cpu::TILES_AHEAD
+    }
+
     /// How the CPU traces rays, if that is what renders.
     pub(crate) fn kernel(&self) -> Kernel {
         self.kernel
