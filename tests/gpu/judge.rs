@@ -15,7 +15,7 @@ use std::fmt;
 use tessera_geometry::{Hit, Ray, Vec3};
 use tessera_kdtree::Triangles;
 use tessera_pack::Pack;
-use tessera_whitted::replay::{OTHER_LATERAL_ERROR, Verdict, weights_near};
+use tessera_whitted::replay::{OTHER_LATERAL_ERROR, Step, Verdict, weights_near};
 use tessera_whitted::{FrameParams, Probe, Renderer};
 
 /// How far a reported distance may be from that of the exact ray and triangle.
@@ -203,22 +203,25 @@ pub struct Finding {
     pub ray: f64,
     /// Why.
     pub why: Why,
+    /// Whether all is the same but behind two or more mirrors and bent rays: what parts a path by a digit grows with each of them.
+    pub is_deep: bool,
 }
 
 impl Finding {
     /// Names of the columns.
     pub const HEAD: &str =
-        "     pixel  step kind       own at           other at                bound    ray  why";
+        "     pixel  step kind         own at                other at                bound    ray  why";
 }
 
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { pixel: (x, y), step, own, other, bound, ray, why, .. } = self;
+        let Self { pixel: (x, y), step, own, other, bound, ray, why, is_deep, .. } = self;
+        let deep = if *is_deep { ", deep" } else { "" };
         let kind = ["look", "dark", "veil"].get(self.kind as usize).unwrap_or(&"?");
         let id = |id: u32| if id == Hit::NO_TRIANGLE { "-".to_owned() } else { id.to_string() };
         write!(
             f,
-            "{x:>5},{y:>4} {step:>5} {kind} {:>8} {:<14} {:>8} {:<14} {bound:>9.3e} {ray:>6.2}  {why}",
+            "{x:>5},{y:>4} {step:>5} {kind} {:>8} {:<14} {:>8} {:<14} {bound:>9.3e} {ray:>6.2}  {why}{deep}",
             id(own.0),
             own.1,
             id(other.0),
@@ -238,6 +241,12 @@ pub fn judge(
 ) -> Option<Finding> {
     let replay = renderer.replay(params, x, y, sample, other);
     let mut first = None;
+    let is_deep = replay.is_whole && {
+        let shallow = |steps: &[Step]| -> Vec<_> {
+            steps.iter().filter(|step| step.depth < 2).map(|s| (s.other.kind, s.other.triangle)).collect()
+        };
+        shallow(&replay.steps) == shallow(&renderer.replay(params, x, y, sample, own).steps)
+    };
     for (at, step) in replay.steps.iter().enumerate() {
         let ray = step.bound.share(&step.own, &step.other);
         let answer = renderer.answer(&step.other);
@@ -250,6 +259,7 @@ pub fn judge(
             bound,
             ray,
             why,
+            is_deep,
         };
         // Nothing can be followed behind another ray.
         if ray.is_nan() || ray > 1.0 {
@@ -276,7 +286,8 @@ pub fn judge(
         let [a, b] = [own, other].map(|rays| rays.get(at).copied().unwrap_or(nothing));
         let ray = replay.steps.get(at).map_or(f64::NAN, |step| step.bound.share(&step.own, &step.other));
         let (own, other) = ((a.triangle, a.t), (b.triangle, b.t));
-        Finding { pixel: (x, y), step: at, kind: b.kind, own, other, bound: 0.0, ray, why: Why::Ray }
+        let (pixel, kind, bound, why) = ((x, y), b.kind, 0.0, Why::Ray);
+        Finding { pixel, step: at, kind, own, other, bound, ray, why, is_deep }
     };
     if !replay.is_whole {
         let why = if replay.margin <= 1.0 { Why::Decision } else { Why::WrongRays };

@@ -93,6 +93,7 @@ pub fn check_rays(name: &str, pack: &Pack, rays: &[Ray], other: &dyn Other) {
                 bound,
                 ray: 0.0,
                 why,
+                is_deep: false,
             });
         }
     }

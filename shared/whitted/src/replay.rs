@@ -70,6 +70,8 @@ pub struct Step {
     pub bound: RayBound,
     /// How near a decision on the way here was to falling otherwise, in units of what rounding may do to it: below 1, another ray may stand here.
     pub margin: f32,
+    /// Mirror and bent rays on the way here.
+    pub depth: u32,
 }
 
 /// A path of the other's.
@@ -100,7 +102,8 @@ impl Renderer<'_> {
             others,
             steps: Vec::with_capacity(others.len()),
             is_broken: false,
-            waiting: vec![eye_bound(params, &eye)],
+            waiting: vec![(eye_bound(params, &eye), 0)],
+            depth: 0,
             place: Place::default(),
             towards_light: RayBound::default(),
             path_margin: f32::INFINITY,
@@ -235,8 +238,10 @@ struct Player<'a> {
     steps: Vec<Step>,
     /// Whether the other would have had to trace another kind of ray than it did.
     is_broken: bool,
-    /// Bounds of the rays on the path's stack.
-    waiting: Vec<RayBound>,
+    /// Bounds and depths of the rays on the path's stack.
+    waiting: Vec<(RayBound, u32)>,
+    /// Of the last ray that looks.
+    depth: u32,
     place: Place,
     towards_light: RayBound,
     /// Of what was decided anywhere on the path: what is pushed is traced much later.
@@ -255,7 +260,7 @@ impl Player<'_> {
         }
         let margin = self.margin.min(self.path_margin);
         let other = other?;
-        self.steps.push(Step { other, own, bound, margin });
+        self.steps.push(Step { other, own, bound, margin, depth: self.depth });
         Some(other)
     }
 
@@ -275,7 +280,8 @@ impl Player<'_> {
 
 impl Tracer for Player<'_> {
     fn look(&mut self, scene: &Renderer<'_>, ray: &mut Ray, after: After) -> Option<Hit> {
-        let bound = self.waiting.pop().unwrap_or_default();
+        let (bound, depth) = self.waiting.pop().unwrap_or_default();
+        self.depth = depth;
         let other = self.next(Probe::unanswered(Probe::LOOK, ray, after), bound)?;
         (ray.origin, ray.direction) = (other.origin.into(), other.direction.into());
         self.margin = f32::INFINITY;
@@ -344,7 +350,7 @@ impl Tracer for Player<'_> {
             return;
         }
         let Place { origin, shading, bent, .. } = self.place;
-        self.waiting.push(match way {
+        let bound = match way {
             // The other's own ray and hit.
             Way::On => RayBound::default(),
             Way::Bent => RayBound { origin, direction: bent, range: origin },
@@ -352,7 +358,8 @@ impl Tracer for Player<'_> {
             Way::Mirror => {
                 RayBound { origin, direction: 8.0 * shading + f64::from(gamma(20)), range: origin }
             }
-        });
+        };
+        self.waiting.push((bound, self.depth + u32::from(way != Way::On)));
     }
 }
 
