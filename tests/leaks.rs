@@ -11,12 +11,12 @@ use tessera_geometry::wide::LANES;
 use tessera_geometry::{DVec3, Hit, Ray, Vec3};
 use tessera_kdtree::{BuildOptions, Triangles};
 use tessera_master::prepare::{PrepareOptions, Prepared, prepare_scene};
-use tessera_pack::Plain;
+use tessera_pack::{Pack, Plain};
 use tessera_scene::{Image, Material, Mesh, Node, Primitive, Scene, TextureRef, Wrap};
 
 /// A closed mesh of size about 1, and points inside it.
-struct Closed {
-    name: &'static str,
+pub struct Closed {
+    pub name: &'static str,
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
     inside: fn(&mut Random) -> DVec3,
@@ -68,7 +68,7 @@ fn near(centre: DVec3, radius: f32, random: &mut Random) -> DVec3 {
     centre + (random.point(Vec3::NEG_ONE, Vec3::ONE) * radius / 3f32.sqrt()).as_dvec3()
 }
 
-fn meshes() -> [Closed; 4] {
+pub fn meshes() -> [Closed; 4] {
     let mesh = |name, (positions, triangles), inside| Closed { name, positions, triangles, inside };
     [
         // So flat that many edges are seen under small angles.
@@ -126,7 +126,7 @@ impl Turned for (Vec<DVec3>, Vec<[u32; 3]>) {
 
 /// How triangles share vertices.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Sharing {
+pub enum Sharing {
     Welded,
     /// Every triangle has vertices of its own.
     Unwelded,
@@ -170,7 +170,7 @@ fn scene(closed: &Closed, sharing: Sharing, scale: f64, shift: f64) -> Scene {
     }
 }
 
-fn prepare(
+pub fn prepare(
     closed: &Closed,
     sharing: Sharing,
     (scale, shift): (f64, f64),
@@ -203,12 +203,11 @@ fn prepare(
     prepared
 }
 
-/// Sends rays from inside at vertices and edges of `prepared`, which must all hit, and returns what they hit.
-fn shoot(closed: &Closed, place: (f64, f64), prepared: &Prepared, rays: usize, what: &str) -> Vec<Hit> {
-    let pack = &prepared.pack;
+/// Rays from inside at vertices and edges of `pack`, by their number: all of them must hit.
+pub fn aimed<'a>(closed: &'a Closed, place: (f64, f64), pack: &'a Pack) -> impl FnMut(usize) -> Ray + 'a {
     let (mesh, frame) = (pack.mesh(), pack.frame());
     let mut random = Random(17);
-    let mut ray = |i: usize| {
+    move |i: usize| {
         let world = (closed.inside)(&mut random) * place.0 + DVec3::new(1.0, -2.0, 0.5) * place.1;
         let origin = frame.to_local(world);
         let [a, b, c] = mesh.vertices(random.below(pack.triangle_count() as usize) as u32);
@@ -220,7 +219,14 @@ fn shoot(closed: &Closed, place: (f64, f64), prepared: &Prepared, rays: usize, w
         };
         let direction = if i.is_multiple_of(3) { target - origin } else { (target - origin).normalize() };
         Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY }
-    };
+    }
+}
+
+/// Sends [`aimed`] rays and returns what they hit.
+fn shoot(closed: &Closed, place: (f64, f64), prepared: &Prepared, rays: usize, what: &str) -> Vec<Hit> {
+    let pack = &prepared.pack;
+    let mesh = pack.mesh();
+    let mut ray = aimed(closed, place, pack);
     let mut hits = Vec::with_capacity(rays);
     for first in (0..rays).step_by(LANES) {
         let rays = std::array::from_fn(|lane| ray(first + lane));

@@ -5,12 +5,17 @@ mod kinds;
 
 #[cfg(target_os = "linux")]
 mod backends;
+#[path = "../shared/whitted/tests/tracer/support.rs"]
+#[allow(dead_code, reason = "the tracer's own tests use the rest")]
+mod stage;
+
 mod bad_input;
 mod bench;
 mod cli;
 mod cluster;
 mod corpora;
 mod deploy;
+mod gpu;
 #[cfg(target_os = "linux")]
 mod joined;
 mod leaks;

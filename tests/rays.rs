@@ -12,7 +12,7 @@ use std::path::Path;
 use std::time::Duration;
 use tessera_geometry::triangle::{RayShear, intersect};
 use tessera_geometry::wide::LANES;
-use tessera_geometry::{Hit, LocalCamera, Ray, Vec3};
+use tessera_geometry::{CameraPose, Hit, LocalCamera, Ray, Vec3};
 use tessera_kdtree::{BuildOptions, Kernel, Tree, TreeView, Triangles, brute_force_closest_hits, build};
 use tessera_master::prepare::{PrepareOptions, Prepared, prepare_scene};
 use tessera_pack::{LightKind, Pack, Plain};
@@ -34,28 +34,31 @@ pub fn ray_count() -> usize {
 }
 
 /// A pack and what rays are made from.
-struct Subject<'a> {
-    pack: &'a Pack,
+pub struct Subject<'a> {
+    pub pack: &'a Pack,
     camera: LocalCamera,
     /// Its triangles, decoded once.
-    soup: Soup,
-    planes: Vec<(usize, f32)>,
+    pub soup: Soup,
+    pub planes: Vec<(usize, f32)>,
 }
 
 impl<'a> Subject<'a> {
     fn new(prepared: &'a Prepared) -> Self {
-        let pack = &prepared.pack;
+        Self::of(&prepared.pack, &prepared.cameras[0].pose)
+    }
+
+    pub fn of(pack: &'a Pack, pose: &CameraPose) -> Self {
         let mesh = pack.mesh();
         Self {
             pack,
-            camera: prepared.cameras[0].pose.to_local(&pack.frame(), 1024, 1024).expect("a usable pose"),
+            camera: pose.to_local(&pack.frame(), 1024, 1024).expect("a usable pose"),
             soup: Soup((0..pack.triangle_count()).map(|id| mesh.vertices(id)).collect()),
             planes: split_planes(pack.tree().slots),
         }
     }
 
     /// Packet number `i`: of neighbouring pixels, from what they see towards a light or anywhere, or unkind.
-    fn packet(&self, i: usize, random: &mut Random) -> [Ray; LANES] {
+    pub fn packet(&self, i: usize, random: &mut Random) -> [Ray; LANES] {
         let kind = i % 8;
         if kind > 4 {
             return std::array::from_fn(|_| {

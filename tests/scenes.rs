@@ -4,7 +4,7 @@ use crate::support::{Folder, Tessera, root, scene_folder, skipped};
 use std::path::{Path, PathBuf};
 
 /// Too large for a test that runs with every change.
-const LARGE: &str = "san_miguel_partial";
+pub const LARGE: &str = "san_miguel_partial";
 
 /// Source files below `folder`, in order.
 fn sources(folder: &Path) -> Vec<PathBuf> {

@@ -18,7 +18,7 @@ const PACK_BYTES: u64 = 1000;
 
 #[test]
 fn every_frame_is_complete_for_every_seed() {
-    let (mut lost, mut dropped, mut joined, mut helped) = (0, 0, 0, 0);
+    let (mut lost, mut dropped, mut joined, mut helped, mut ahead) = (0, 0, 0, 0, 0);
     for seed in 0..4000 {
         let mut world = World::new(seed, true);
         for pack in [None, None, Some(PACKS[1]), Some(PACKS[0])] {
@@ -35,12 +35,14 @@ fn every_frame_is_complete_for_every_seed() {
         lost += world.lost.len();
         joined += world.took_part_late;
         helped += world.shared_tiles;
+        ahead += usize::from(world.most_in_hand == 3);
     }
     // The seeds do what they are for.
     assert!(lost > 4000, "{lost} workers were lost");
     assert!(dropped > 4000, "{dropped} results came twice or too late");
     assert!(joined > 4000, "{joined} workers took part in a frame that had begun");
     assert!(helped > 4000, "{helped} tiles were with two workers");
+    assert!(ahead > 1500, "in {ahead} worlds a worker had three tiles in hand");
 }
 
 #[test]
@@ -312,6 +314,8 @@ struct World {
     pack_time: Duration,
     /// Whether workers die and messages are repeated.
     is_rough: bool,
+    /// Most tiles that any worker renders ahead.
+    most_ahead: u64,
     expected_lost: BTreeSet<WorkerId>,
     lost: Vec<WorkerId>,
     reasons: Vec<String>,
@@ -323,6 +327,8 @@ struct World {
     began_with: u32,
     /// Frames that workers took part in that had joined after they were begun.
     took_part_late: u32,
+    /// Most tiles that one worker had in hand.
+    most_in_hand: usize,
 }
 
 struct Worker {
@@ -332,8 +338,9 @@ struct Worker {
     speed: u64,
     /// Until then it finishes no tile, although it talks.
     stalled_until: Duration,
-    /// Tiles that it has finished, or stopped.
-    tiles_ended: u64,
+    /// Tiles that it has begun and neither finished nor stopped, by their place in the order in which it began.
+    in_hand: BTreeSet<u64>,
+    begun: u64,
     /// When the last thing put on each of its pipes arrives: to the worker, control and bulk to the master.
     arrivals: [Duration; 3],
 }
@@ -342,7 +349,7 @@ enum Happening {
     ToWorker(WorkerId, ToWorker),
     ToMaster(WorkerId, ToMaster),
     PackArrives(WorkerId, PackId),
-    /// Unless stopped: if it has ended as many tiles as when it began this one.
+    /// Unless stopped: if it still has this one in hand.
     Rendered(WorkerId, u64, Box<RenderedTile>),
     Stopped(WorkerId),
     BatchSent(WorkerId),
@@ -362,6 +369,7 @@ impl World {
         let mut world = Self::empty(seed);
         let count = world.below(16) + 1;
         world.is_rough = is_rough;
+        world.most_ahead = 3;
         world.gather(count as u32);
         world
     }
@@ -382,6 +390,7 @@ impl World {
             random: seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) + 1,
             pack_time: Duration::ZERO,
             is_rough: false,
+            most_ahead: 1,
             expected_lost: BTreeSet::new(),
             lost: Vec::new(),
             reasons: Vec::new(),
@@ -389,6 +398,7 @@ impl World {
             shared_tiles: 0,
             began_with: 0,
             took_part_late: 0,
+            most_in_hand: 0,
         }
     }
 
@@ -417,13 +427,14 @@ impl World {
             }),
         };
         self.coordinator.connected(self.now);
-        let speed = 20 + self.below(200);
+        let (speed, ahead) = (20 + self.below(200), 1 + self.below(self.most_ahead));
         self.workers.push(Worker {
-            session: Session::start(hello, None, self.now),
+            session: Session::start(hello, None, ahead as usize, self.now),
             is_alive: true,
             speed,
             stalled_until: Duration::ZERO,
-            tiles_ended: 0,
+            in_hand: BTreeSet::new(),
+            begun: 0,
             arrivals: [self.now; 3],
         });
     }
@@ -542,15 +553,14 @@ impl World {
             Happening::PackArrives(worker, pack) => {
                 self.session(worker, |s| s.pack_received(pack, Ok(())));
             }
-            Happening::Rendered(worker, ended, tile) => {
+            Happening::Rendered(worker, number, tile) => {
                 let state = &mut self.workers[worker.0 as usize];
                 if state.stalled_until > now {
                     if state.stalled_until < Duration::MAX {
                         let at = state.stalled_until;
-                        self.schedule(at, Happening::Rendered(worker, ended, tile));
+                        self.schedule(at, Happening::Rendered(worker, number, tile));
                     }
-                } else if state.tiles_ended == ended {
-                    state.tiles_ended += 1;
+                } else if state.in_hand.remove(&number) {
                     self.session(worker, |s| s.rendered(*tile));
                 }
             }
@@ -648,19 +658,25 @@ impl World {
                 self.session(worker, |s| s.pack_reserved(pack, Ok(())));
             }
             Action::Render(task) => {
-                let Worker { speed, tiles_ended, .. } = self.workers[worker.0 as usize];
-                let time = self.micros(10, 1000) * 100 / speed as u32;
-                let rendered = Happening::Rendered(worker, tiles_ended, Box::new(render(task, time)));
+                let time = self.micros(10, 1000) * 100;
+                let state = &mut self.workers[worker.0 as usize];
+                let time = time / state.speed as u32;
+                state.begun += 1;
+                state.in_hand.insert(state.begun);
+                self.most_in_hand = self.most_in_hand.max(state.in_hand.len());
+                let rendered = Happening::Rendered(worker, state.begun, Box::new(render(task, time)));
                 self.schedule(self.now + time, rendered);
             }
             Action::StopRendering => {
-                let at = self.now + self.micros(1, 300);
-                // Half of them are finished before they see that they are not wanted any more.
-                let is_quicker = self.below(2) == 0;
-                let state = &mut self.workers[worker.0 as usize];
-                if is_quicker && state.stalled_until <= at {
-                    state.tiles_ended += 1;
-                    self.schedule(at, Happening::Stopped(worker));
+                for number in self.workers[worker.0 as usize].in_hand.clone() {
+                    let at = self.now + self.micros(1, 300);
+                    // Half of them are finished before they see that they are not wanted any more.
+                    let is_quicker = self.below(2) == 0;
+                    let state = &mut self.workers[worker.0 as usize];
+                    if is_quicker && state.stalled_until <= at {
+                        state.in_hand.remove(&number);
+                        self.schedule(at, Happening::Stopped(worker));
+                    }
                 }
             }
             Action::Return(Batch { header, pixels }) => {

@@ -18,7 +18,7 @@ mod serve;
 pub mod session;
 
 pub use backend::gpu;
-pub use backend::{Adapter, Backend, BackendChoice, BackendConfig, BackendError, adapters};
+pub use backend::{Adapter, Backend, BackendChoice, BackendConfig, BackendError, PackFault, adapters};
 pub use cache::PackCache;
 pub use join::{JoinError, serve_master};
 pub use local::{run_local, serve_ticket};

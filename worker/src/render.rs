@@ -1,6 +1,13 @@
-//! The thread that renders, one tile after the other, with a pool of its own.
+//! The thread that renders: on the CPU one tile after the other, with a pool of its own; on a GPU several at a time.
 
-use crate::{backend::cpu, session::RenderTask, session::RenderedTile};
+use crate::{
+    Backend,
+    backend::{
+        Engine, GpuEngine, cpu,
+        gpu::{GpuError, tiles::Tiles},
+    },
+    session::{RenderTask, RenderedTile},
+};
 use std::{
     sync::{
         Arc,
@@ -10,15 +17,17 @@ use std::{
     thread,
     time::Instant,
 };
-use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 
 /// A running render thread; dropping it ends the thread, and what it is at.
 pub(crate) struct RenderThread {
-    tasks: mpsc::Sender<(RenderTask, Pack, Arc<AtomicBool>)>,
-    /// Set to stop the last tile that was queued.
+    tasks: mpsc::Sender<Queued>,
+    /// Set to stop the tiles that are queued.
     stop: Arc<AtomicBool>,
 }
+
+/// A tile, the pack that it is of, and what stops it.
+type Queued = (RenderTask, Pack, Arc<AtomicBool>);
 
 /// What the thread says.
 pub(crate) enum RenderEvent {
@@ -26,48 +35,117 @@ pub(crate) enum RenderEvent {
     Rendered(Box<RenderedTile>),
     /// A tile was stopped before it was finished.
     Stopped,
+    /// The device has failed, with the reason; nothing more will come.
+    Failed(String),
     /// The renderer has panicked: a bug; nothing more will come.
     Panicked,
 }
 
 impl RenderThread {
-    /// Starts the thread and a pool of `threads` that trace with `kernel`; `tell` is called from the thread and may block it.
+    /// Starts the thread, on the CPU with a pool of `threads`; `tell` is called from the thread and may block it.
     pub(crate) fn start(
         threads: u32,
-        kernel: Kernel,
+        backend: Backend,
         tell: impl Fn(RenderEvent) + Send + 'static,
     ) -> Result<Self, Box<dyn std::error::Error + Send + Sync>> {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads as usize)
-            .thread_name(|i| format!("render {i}"))
-            .build()?;
-        let (tasks, queue) = mpsc::channel::<(RenderTask, Pack, Arc<AtomicBool>)>();
-        thread::Builder::new().name("render".into()).spawn(move || {
-            let tell = PanicTeller(tell);
-            while let Ok((task, pack, stop)) = queue.recv() {
-                let begun = Instant::now();
-                let rendered = pool.install(|| cpu::render(&pack, kernel, &task.frame, task.rect, &stop));
-                let time = begun.elapsed();
-                (tell.0)(match rendered {
-                    Some((pixels, rays)) => {
-                        RenderEvent::Rendered(Box::new(RenderedTile { task, pixels, time, rays }))
-                    }
-                    None => RenderEvent::Stopped,
-                });
+        let (tasks, queue) = mpsc::channel();
+        let tell = PanicTeller(tell);
+        let pool = match backend.engine() {
+            Engine::Cpu => {
+                let name = |i| format!("render {i}");
+                Some(rayon::ThreadPoolBuilder::new().num_threads(threads as usize).thread_name(name).build()?)
             }
+            Engine::Gpu(_) => None,
+        };
+        thread::Builder::new().name("render".into()).spawn(move || match (backend.engine(), pool) {
+            (Engine::Gpu(engine), _) => {
+                if let Err(error) = render_on_gpu(engine, &queue, &tell.0) {
+                    backend.fail();
+                    (tell.0)(RenderEvent::Failed(error.to_string()));
+                }
+            }
+            (Engine::Cpu, Some(pool)) => render_on_cpu(&backend, &pool, &queue, &tell.0),
+            (Engine::Cpu, None) => {}
         })?;
         Ok(Self { tasks, stop: Arc::default() })
     }
 
-    /// Queues a tile; those before have been told. After a panic it is not rendered; the panic has been told.
+    /// Queues a tile. After a panic or a failure it is not rendered; that has been told.
     pub(crate) fn render(&mut self, task: RenderTask, pack: Pack) {
-        self.stop = Arc::default();
+        if self.stop.load(Ordering::Relaxed) {
+            self.stop = Arc::default();
+        }
         let _ = self.tasks.send((task, pack, self.stop.clone()));
     }
 
-    /// Stops the last tile that was queued, if it is not finished.
+    /// Stops all tiles that were queued and are not finished; each is told.
     pub(crate) fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
+    }
+}
+
+fn render_on_cpu(
+    backend: &Backend,
+    pool: &rayon::ThreadPool,
+    queue: &mpsc::Receiver<Queued>,
+    tell: &impl Fn(RenderEvent),
+) {
+    let kernel = backend.kernel();
+    while let Ok((task, pack, stop)) = queue.recv() {
+        let begun = Instant::now();
+        let rendered = pool.install(|| cpu::render(&pack, kernel, &task.frame, task.rect, &stop));
+        let time = begun.elapsed();
+        tell(match rendered {
+            Some((pixels, rays)) => RenderEvent::Rendered(Box::new(RenderedTile { task, pixels, time, rays })),
+            None => RenderEvent::Stopped,
+        });
+    }
+}
+
+/// Takes tiles in as they come, so that the device has the next ones before it has finished the last.
+fn render_on_gpu(
+    engine: &GpuEngine,
+    queue: &mpsc::Receiver<Queued>,
+    tell: &impl Fn(RenderEvent),
+) -> Result<(), GpuError> {
+    let mut tiles: Option<Tiles> = None;
+    let mut stop = Arc::<AtomicBool>::default();
+    loop {
+        // Wait for a tile if there is none, and take all that are there.
+        let is_idle = tiles.as_ref().is_none_or(Tiles::is_idle);
+        let first = if is_idle { queue.recv().ok().map(Some) } else { Some(None) };
+        let Some(first) = first else { return Ok(()) };
+        for (task, pack, its_stop) in first.into_iter().chain(queue.try_iter()) {
+            if !Arc::ptr_eq(&stop, &its_stop) {
+                // Those before were stopped, or there were none.
+                stop_all(tiles.as_mut(), tell);
+                stop = its_stop;
+            }
+            let is_loaded = tiles.as_ref().is_some_and(|tiles| tiles.scene().pack().id() == pack.id());
+            if !is_loaded {
+                // (What is under way for another scene is not waited for: frames end before packs change.)
+                stop_all(tiles.as_mut(), tell);
+                tiles = None;
+            }
+            let tiles = match &mut tiles {
+                Some(tiles) => tiles,
+                none => none.insert(Tiles::new(engine.scene(&pack)?)?),
+            };
+            tiles.push(task);
+        }
+        if stop.load(Ordering::Relaxed) {
+            stop_all(tiles.as_mut(), tell);
+        }
+        let Some(tiles) = &mut tiles else { continue };
+        for tile in tiles.turn()? {
+            tell(RenderEvent::Rendered(Box::new(tile)));
+        }
+    }
+}
+
+fn stop_all(tiles: Option<&mut Tiles>, tell: &impl Fn(RenderEvent)) {
+    for _ in tiles.map(Tiles::clear).unwrap_or_default() {
+        tell(RenderEvent::Stopped);
     }
 }
 
@@ -91,6 +169,7 @@ impl<F: Fn(RenderEvent)> Drop for PanicTeller<F> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{BackendChoice, BackendConfig};
     use std::time::Duration;
     use tessera_pack::{Material, PackInput, PackOptions, build_pack};
     use tessera_wire::{
@@ -134,8 +213,9 @@ mod tests {
         };
         let (pack, _) = build_pack(input, &PackOptions::default()).unwrap();
         let (tell, told) = mpsc::channel();
-        let mut thread =
-            RenderThread::start(2, Kernel::auto(), move |event| tell.send(event).unwrap()).unwrap();
+        let config = BackendConfig { choice: BackendChoice::Cpu, ..BackendConfig::default() };
+        let backend = Backend::open(&config).expect("there is a CPU");
+        let mut thread = RenderThread::start(2, backend, move |event| tell.send(event).unwrap()).unwrap();
         // Seventeen thousand million samples: hours.
         thread.render(task(1 << 16), pack.clone());
         thread.stop();

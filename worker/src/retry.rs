@@ -65,7 +65,7 @@ impl RetryConfig {
 pub async fn stay<E: From<WorkerError> + Display>(
     mut find: impl FnMut() -> Result<JoinString, E>,
     own: &Identity,
-    config: WorkerConfig,
+    mut config: WorkerConfig,
     retry: RetryConfig,
     mut stop: watch::Receiver<Stop>,
 ) -> Result<(), E> {
@@ -89,7 +89,13 @@ pub async fn stay<E: From<WorkerError> + Display>(
         }
         let limit = if has_served { retry.again } else { Some(retry.at_first) };
         let left = limit.map_or(Duration::MAX, |limit| limit.saturating_sub(failing_since.elapsed()));
-        if !retry.may_pass(&error) || left.is_zero() {
+        // A GPU that has failed is no reason to stay away, if the CPU will do.
+        let falls_back = config.backend.has_fallback();
+        if falls_back {
+            config.backend = config.backend.or_fallback();
+            tracing::warn!("{}", config.backend.note());
+        }
+        if !(falls_back || retry.may_pass(&error)) || left.is_zero() {
             return Err(error.into());
         }
         failures += 1;

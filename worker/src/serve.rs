@@ -1,7 +1,7 @@
 //! A worker's life on four pipes: join, hold a pack, render what is assigned, go.
 
 use crate::{
-    Backend, PackCache, free_memory,
+    Backend, PackCache, PackFault, free_memory,
     join::JoinError,
     pipes::{PipeError, Reader, Writer, read_message, reason, write_message},
     receive::{Assembly, receive},
@@ -146,11 +146,12 @@ pub(crate) async fn serve_until(
             note: plain_text(config.backend.note()),
         }),
     };
+    let ahead = config.backend.tiles_ahead();
     let driver = match Driver::start(pipes, config.threads.max(1), config.backend, config.cache) {
         Ok(driver) => driver,
         Err(error) => return Served { was_welcomed: false, outcome: Err(error) },
     };
-    let mut session = Session::start(hello, memory, begun.elapsed());
+    let mut session = Session::start(hello, memory, ahead, begun.elapsed());
     let outcome = drive(driver, &mut session, begun, stop).await;
     Served { was_welcomed: session.was_welcomed(), outcome }
 }
@@ -204,7 +205,7 @@ struct Driver {
     events: mpsc::Receiver<Event>,
     control: mpsc::UnboundedSender<ToMaster>,
     control_writer: JoinHandle<()>,
-    /// At most one longer than `limits::BATCHES_IN_FLIGHT`: the session sees to it.
+    /// At most as many longer than `limits::BATCHES_IN_FLIGHT` as tiles are rendered ahead: the session sees to it.
     bulk: mpsc::UnboundedSender<Batch>,
     bulk_writer: JoinHandle<()>,
     /// At most one long: likewise.
@@ -222,6 +223,7 @@ enum Event {
     Message(ToWorker),
     Rendered(Box<RenderedTile>),
     RenderingStopped,
+    RenderingFailed(String),
     RendererPanicked,
     BatchSent,
     PackFound(Pack),
@@ -242,7 +244,6 @@ impl Driver {
         cache: Option<PackCache>,
     ) -> Result<Self, WorkerError> {
         tracing::debug!("rendering on the {backend} with {threads} threads");
-        let kernel = backend.kernel();
         let (tell, events) = mpsc::channel(Self::EVENTS);
         let (control, messages) = mpsc::unbounded_channel();
         let (bulk, batches) = mpsc::unbounded_channel();
@@ -250,13 +251,14 @@ impl Driver {
         let mut tasks = JoinSet::new();
         tasks.spawn(read_control(pipes.control_in, tell.clone()));
         let bulk_writer = tokio::spawn(write_bulk(pipes.bulk_out, batches, tell.clone()));
-        tasks.spawn(read_packs(pipes.bulk_in, wanted, (backend, cache.clone()), tell.clone()));
+        tasks.spawn(read_packs(pipes.bulk_in, wanted, (backend.clone(), cache.clone()), tell.clone()));
         let control_writer = tokio::spawn(write_control(pipes.control_out, messages));
-        let renderer = RenderThread::start(threads, kernel, move |event| {
+        let renderer = RenderThread::start(threads, backend, move |event| {
             // The driver may be gone; the thread then ends with it.
             let _ = tell.blocking_send(match event {
                 RenderEvent::Rendered(tile) => Event::Rendered(tile),
                 RenderEvent::Stopped => Event::RenderingStopped,
+                RenderEvent::Failed(reason) => Event::RenderingFailed(reason),
                 RenderEvent::Panicked => Event::RendererPanicked,
             });
         })
@@ -311,6 +313,8 @@ impl Driver {
             }
             Event::Rendered(tile) => session.rendered(*tile),
             Event::RenderingStopped => session.rendering_stopped(),
+            // Others render its tiles; it may come back with another backend.
+            Event::RenderingFailed(reason) => session.abort(AbortCode::Internal, reason),
             Event::RendererPanicked => session.abort(AbortCode::Internal, "the renderer has panicked".into()),
             Event::BatchSent => session.batch_sent(),
             Event::PackReserved(pack, result) => session.pack_reserved(pack, result),
@@ -423,9 +427,10 @@ async fn read_packs(
         if let Some(cache) = cache.clone() {
             let found = tokio::task::spawn_blocking(move || cache.load(pack)).await;
             if let Ok(Some(found)) = found {
-                let event = match backend.check_pack(&found) {
-                    Ok(()) => Event::PackFound(found),
-                    Err(refusal) => Event::PackReserved(pack, Err(refusal)),
+                let event = match hold(&backend, found).await {
+                    Ok(found) => Event::PackFound(found),
+                    Err(PackFault::Refused(refusal)) => Event::PackReserved(pack, Err(refusal)),
+                    Err(PackFault::Failed(reason)) => Event::RenderingFailed(reason),
                 };
                 if tell.send(event).await.is_err() {
                     return;
@@ -445,9 +450,12 @@ async fn read_packs(
         let Ok(assembly) = assembly else { continue };
         let event = match receive(&mut pipe, assembly).await {
             // What it takes beside the worker's memory shows in the pack alone.
-            Ok(result) => {
-                Event::PackReceived(pack, result.and_then(|held| backend.check_pack(&held).map(|()| held)))
-            }
+            Ok(Ok(received)) => match hold(&backend, received).await {
+                Ok(held) => Event::PackReceived(pack, Ok(held)),
+                Err(PackFault::Refused(refusal)) => Event::PackReceived(pack, Err(refusal)),
+                Err(PackFault::Failed(reason)) => Event::RenderingFailed(reason),
+            },
+            Ok(Err(refusal)) => Event::PackReceived(pack, Err(refusal)),
             // As in `write_bulk`; what is no pipe of packs at all is the master's fault.
             Err(PipeError::Io(e)) if e.kind() != io::ErrorKind::InvalidData => {
                 return tracing::debug!("bulk pipe: {}", reason(&e));
@@ -458,6 +466,13 @@ async fn read_packs(
             return;
         }
     }
+}
+
+/// Has the backend hold a pack, beside what else goes on.
+async fn hold(backend: &Backend, pack: Pack) -> Result<Pack, PackFault> {
+    let backend = backend.clone();
+    let held = tokio::task::spawn_blocking(move || backend.check_pack(&pack).map(|()| pack)).await;
+    held.unwrap_or_else(|e| Err(PackFault::Failed(format!("taking the pack in failed: {e}"))))
 }
 
 fn ending_to_result(ending: Ending) -> Result<Parting, WorkerError> {

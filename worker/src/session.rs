@@ -17,9 +17,11 @@ pub struct Session {
     holding: Holding,
     frame: Option<Active>,
     last_frame: FrameId,
-    /// Whether a tile is being rendered; one at a time, with all threads.
-    rendering: bool,
-    /// Whether the worker leaves once the tile in hand is returned.
+    /// Most tiles that are with the renderer at a time.
+    ahead: usize,
+    /// Tiles that are with the renderer, of frames that have ended too.
+    rendering: usize,
+    /// Whether the worker leaves once the tiles in hand are returned.
     draining: bool,
     /// Batches handed out and not yet sent.
     in_flight: usize,
@@ -46,6 +48,8 @@ struct Active {
     frame: Frame,
     grid: TileGrid,
     queue: VecDeque<(TileId, Attempt)>,
+    /// Tiles of this frame that are with the renderer.
+    in_hand: usize,
     batch: Batch,
     batch_bytes: u64,
     /// Rendered and not yet said so.
@@ -65,9 +69,11 @@ pub enum Action {
         /// Its bytes.
         length: u64,
     },
-    /// Render a tile, then call [`Session::rendered`]. The next comes only after that.
+    /// Render a tile, then call [`Session::rendered`]. As many come before that as [`Session::start`] was told; they may be finished in
+    /// any order.
     Render(RenderTask),
-    /// Nobody waits for the tile that is being rendered: stop it and call [`Session::rendering_stopped`], unless it is finished.
+    /// Nobody waits for any of the tiles that are being rendered: stop them, and for each call [`Session::rendering_stopped`], or
+    /// [`Session::rendered`] if it is finished. A tile whose `Render` comes later is none of them.
     StopRendering,
     /// Send a batch, then call [`Session::batch_sent`].
     Return(Batch),
@@ -129,8 +135,9 @@ pub enum Ending {
 }
 
 impl Session {
-    /// A new connection: says `Hello`.
-    pub fn start(hello: Hello, memory: Option<u64>, now: Duration) -> Self {
+    /// A new connection: says `Hello`. Up to `ahead` tiles (at least one) are handed to the renderer before it has finished any: with one it does
+    /// nothing while a finished tile is looked after, which matters where looking after takes longer than handing over.
+    pub fn start(hello: Hello, memory: Option<u64>, ahead: usize, now: Duration) -> Self {
         Self {
             phase: Phase::Greeting { deadline: now + limits::HANDSHAKE_TIMEOUT },
             was_welcomed: false,
@@ -138,7 +145,8 @@ impl Session {
             holding: Holding::Nothing,
             frame: None,
             last_frame: FrameId(0),
-            rendering: false,
+            ahead: ahead.max(1),
+            rendering: 0,
             draining: false,
             in_flight: 0,
             actions: VecDeque::from([Action::Send(ToMaster::Hello(hello))]),
@@ -192,7 +200,7 @@ impl Session {
             (Phase::Joined, ToWorker::EndFrame { frame }) => {
                 if self.frame.as_ref().is_some_and(|active| active.frame.frame == frame) {
                     self.frame = None;
-                    if self.rendering {
+                    if self.rendering > 0 {
                         self.actions.push_back(Action::StopRendering);
                     }
                 } else {
@@ -256,9 +264,9 @@ impl Session {
         self.send(answer);
     }
 
-    /// The tile that [`Action::Render`] asked for is rendered.
+    /// A tile that [`Action::Render`] asked for is rendered.
     pub fn rendered(&mut self, done: RenderedTile) {
-        self.rendering = false;
+        self.rendering = self.rendering.saturating_sub(1);
         if self.phase != Phase::Joined {
             return;
         }
@@ -269,9 +277,9 @@ impl Session {
         self.render_next();
     }
 
-    /// What [`Action::StopRendering`] asked for is done.
+    /// One of the tiles that [`Action::StopRendering`] was about is stopped and will not be finished.
     pub fn rendering_stopped(&mut self) {
-        self.rendering = false;
+        self.rendering = self.rendering.saturating_sub(1);
         self.render_next();
     }
 
@@ -281,7 +289,7 @@ impl Session {
         self.render_next();
     }
 
-    /// Ends the session from this side when the tile in hand is rendered and handed to the transport; others get the rest.
+    /// Ends the session from this side when the tiles in hand are rendered and handed to the transport; others get the rest.
     pub fn drain(&mut self) {
         if self.phase != Phase::Joined {
             return self.leave();
@@ -289,7 +297,7 @@ impl Session {
         self.draining = true;
         if let Some(active) = &mut self.frame {
             active.queue.clear();
-            if !self.rendering {
+            if active.in_hand == 0 {
                 self.flush();
             }
         }
@@ -397,27 +405,28 @@ impl Session {
         }
     }
 
-    /// Starts on the next tile if nothing is being rendered and the transport keeps up; leaves if that was the last one.
+    /// Hands the renderer as many tiles as it may have while the transport keeps up; leaves if it has had the last one. Nothing new is begun with
+    /// [`limits::BATCHES_IN_FLIGHT`] on their way; each of the tiles begun before may become a batch more.
     fn render_next(&mut self) {
-        if self.draining && !self.rendering && self.in_flight == 0 {
+        if self.draining && self.rendering == 0 && self.in_flight == 0 {
             return self.leave();
         }
-        if self.rendering || self.in_flight >= limits::BATCHES_IN_FLIGHT {
-            return;
-        }
         let Some(active) = &mut self.frame else { return };
-        let Some((tile, attempt)) = active.queue.pop_front() else { return };
-        // `assign` has checked the tile.
-        let Some(rect) = active.grid.rect(tile) else { return };
-        self.rendering = true;
-        self.actions.push_back(Action::Render(RenderTask { frame: active.frame, tile, attempt, rect }));
+        while self.rendering < self.ahead && self.in_flight < limits::BATCHES_IN_FLIGHT {
+            let Some((tile, attempt)) = active.queue.pop_front() else { return };
+            // `assign` has checked the tile.
+            let Some(rect) = active.grid.rect(tile) else { return };
+            self.rendering += 1;
+            active.in_hand += 1;
+            self.actions.push_back(Action::Render(RenderTask { frame: active.frame, tile, attempt, rect }));
+        }
     }
 }
 
 impl Active {
     fn new(frame: Frame, grid: TileGrid) -> Self {
         let batch = Batch::new(frame.frame);
-        Self { frame, grid, queue: VecDeque::new(), batch, batch_bytes: 0, unsaid: 0 }
+        Self { frame, grid, queue: VecDeque::new(), in_hand: 0, batch, batch_bytes: 0, unsaid: 0 }
     }
 
     /// Adds a tile to the batch: how many tiles are now to be said rendered, and the batch if it is to go.
@@ -433,7 +442,8 @@ impl Active {
         });
         self.batch.pixels.push(done.pixels);
         self.unsaid += 1;
-        let list_is_empty = self.queue.is_empty();
+        self.in_hand = self.in_hand.saturating_sub(1);
+        let list_is_empty = self.queue.is_empty() && self.in_hand == 0;
         let full = self.batch.pixels.len() >= limits::TILES as usize;
         let (say, go) = match self.frame.returns {
             ReturnMode::AtEnd => (list_is_empty, list_is_empty || full),
@@ -464,339 +474,4 @@ impl Batch {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use tessera_wire::{Abilities, Camera, Features, PixelFormat, Role, Token, WorkerId};
-
-    const PACK: PackId = PackId([7; 32]);
-
-    fn hello() -> Hello {
-        Hello {
-            versions: Version::supported_numbers(),
-            token: Token::default(),
-            name: "w".into(),
-            role: Role::Worker(Abilities {
-                memory: 0,
-                threads: 1,
-                backend: "cpu".into(),
-                numeric_class: "cpu-1".into(),
-                speed: 0,
-                note: String::new(),
-            }),
-        }
-    }
-
-    fn frame(id: u64, returns: ReturnMode) -> Frame {
-        Frame {
-            frame: FrameId(id),
-            pack: PACK,
-            camera: Camera {
-                origin: [0.0; 3],
-                forward: [0.0, 0.0, -1.0],
-                right: [1.0, 0.0, 0.0],
-                up: [0.0, 1.0, 0.0],
-            },
-            width: 4,
-            height: 4,
-            tile: 2,
-            samples: 1,
-            depth: 0,
-            seed: 0,
-            features: Features::default(),
-            format: PixelFormat::Rgba8,
-            returns,
-        }
-    }
-
-    fn actions(s: &mut Session) -> Vec<Action> {
-        std::iter::from_fn(|| s.poll()).collect()
-    }
-
-    fn joined(memory: Option<u64>) -> Session {
-        let mut s = Session::start(hello(), memory, Duration::ZERO);
-        assert_eq!(actions(&mut s), [Action::Send(ToMaster::Hello(hello()))]);
-        s.message(ToWorker::Welcome { version: 3, worker: WorkerId(0) });
-        assert_eq!((actions(&mut s), s.deadline()), (vec![], None));
-        s
-    }
-
-    fn loaded() -> Session {
-        let mut s = joined(None);
-        s.message(ToWorker::PackOffer { pack: PACK, length: 5 });
-        assert_eq!(actions(&mut s), [Action::Receive { pack: PACK, length: 5 }]);
-        s.pack_reserved(PACK, Ok(()));
-        assert_eq!(actions(&mut s), [Action::Send(ToMaster::PackNeed { pack: PACK, have: false })]);
-        s.pack_received(PACK, Ok(()));
-        assert_eq!(actions(&mut s), [Action::Send(ToMaster::PackReady { pack: PACK })]);
-        s
-    }
-
-    fn assign(s: &mut Session, id: u64, tiles: impl IntoIterator<Item = u32>) {
-        let tiles = tiles.into_iter().map(TileId).collect();
-        s.message(ToWorker::Assign { frame: FrameId(id), attempt: Attempt(0), tiles });
-    }
-
-    /// Renders everything that is asked for; what was said and returned, in order: `r` for `Rendered`, a
-    /// number for a batch of so many tiles.
-    fn run(s: &mut Session) -> String {
-        let mut log = String::new();
-        while let Some(action) = s.poll() {
-            match action {
-                Action::Render(task) => {
-                    let pixels = vec![0; (task.rect.width * task.rect.height * 4) as usize];
-                    let time = Duration::from_millis(1);
-                    s.rendered(RenderedTile { task, pixels, time, rays: Rays::default() });
-                }
-                Action::Send(ToMaster::Rendered { .. }) => log.push('r'),
-                Action::Return(batch) => {
-                    batch.header.check().unwrap();
-                    log += &batch.pixels.len().to_string();
-                    s.batch_sent();
-                }
-                other => panic!("{other:?}"),
-            }
-        }
-        log
-    }
-
-    fn check_aborted(s: &mut Session, code: AbortCode) {
-        let all = actions(s);
-        let (over, abort) = (all.last(), &all[all.len() - 2]);
-        assert!(matches!(over, Some(Action::Over(Ending::Aborted { code: c, .. })) if *c == code), "{all:?}");
-        assert!(matches!(abort, Action::Send(ToMaster::Abort { code: c, .. }) if *c == code), "{all:?}");
-        s.message(ToWorker::Dismiss);
-        s.leave();
-        assert_eq!(actions(s), []);
-    }
-
-    #[test]
-    fn tiles_return_as_the_frame_asks() {
-        let check = |returns, expected| {
-            let mut s = loaded();
-            s.message(ToWorker::Frame(frame(1, returns)));
-            assign(&mut s, 1, 0..4);
-            assert_eq!(run(&mut s), expected);
-        };
-        check(ReturnMode::AtEnd, "r4");
-        check(ReturnMode::Batches { min_bytes: 0 }, "r1r1r1r1");
-        check(ReturnMode::Batches { min_bytes: 32 }, "rr2rr2");
-        check(ReturnMode::Batches { min_bytes: 33 }, "rrr3r1");
-    }
-
-    #[test]
-    fn rendering_waits_for_a_slow_transport() {
-        let mut s = loaded();
-        s.message(ToWorker::Frame(frame(1, ReturnMode::Batches { min_bytes: 0 })));
-        assign(&mut s, 1, 0..4);
-        let mut renders = 0;
-        let mut returns = 0;
-        while let Some(action) = s.poll() {
-            match action {
-                Action::Render(task) => {
-                    renders += 1;
-                    let rays = Rays::default();
-                    s.rendered(RenderedTile { task, pixels: vec![0; 16], time: Duration::ZERO, rays });
-                }
-                Action::Return(_) => returns += 1,
-                _ => {}
-            }
-        }
-        assert_eq!((renders, returns), (2, limits::BATCHES_IN_FLIGHT));
-        s.batch_sent();
-        assert!(matches!(actions(&mut s)[..], [Action::Render(_)]));
-    }
-
-    #[test]
-    fn the_end_of_a_frame_drops_what_is_left_of_it() {
-        let mut s = loaded();
-        s.message(ToWorker::Frame(frame(1, ReturnMode::AtEnd)));
-        assign(&mut s, 1, 0..4);
-        let Some(Action::Render(task)) = s.poll() else { panic!("nothing to render") };
-        s.message(ToWorker::EndFrame { frame: FrameId(1) });
-        s.message(ToWorker::Frame(frame(2, ReturnMode::AtEnd)));
-        assign(&mut s, 2, [3]);
-        assert_eq!(actions(&mut s), [Action::StopRendering], "the renderer is still busy");
-        // It may have been finished before it was stopped.
-        let mut finished = s.clone();
-        let (time, rays) = (Duration::ZERO, Rays::default());
-        finished.rendered(RenderedTile { task, pixels: vec![0; 16], time, rays });
-        assert_eq!(run(&mut finished), "r1");
-        s.rendering_stopped();
-        assert_eq!(run(&mut s), "r1");
-        s.message(ToWorker::EndFrame { frame: FrameId(2) });
-        assert_eq!(actions(&mut s), [], "nothing is being rendered");
-    }
-
-    #[test]
-    fn a_drained_worker_returns_the_tile_in_hand_and_what_it_has_kept_and_leaves() {
-        let leaves = [Action::Send(ToMaster::Leave), Action::Over(Ending::Left)];
-        let finish = |s: &mut Session, task| {
-            let (time, rays) = (Duration::ZERO, Rays::default());
-            s.rendered(RenderedTile { task, pixels: vec![0; 16], time, rays });
-        };
-        for returns in [ReturnMode::AtEnd, ReturnMode::Batches { min_bytes: 1000 }] {
-            let mut s = loaded();
-            s.message(ToWorker::Frame(frame(1, returns)));
-            assign(&mut s, 1, 0..4);
-            let Some(Action::Render(first)) = s.poll() else { panic!("nothing to render") };
-            finish(&mut s, first);
-            let mut all = actions(&mut s);
-            let Some(Action::Render(second)) = all.pop() else { panic!("nothing to render") };
-            s.drain();
-            assign(&mut s, 1, [3]);
-            assert_eq!(actions(&mut s), [], "it is at a tile");
-            finish(&mut s, second);
-            let mut all = actions(&mut s);
-            let Some(Action::Return(batch)) = all.pop() else { panic!("nothing returned: {all:?}") };
-            assert_eq!(batch.header.tiles.iter().map(|t| t.tile.0).collect::<Vec<_>>(), [0, 1]);
-            assert!(matches!(all[..], [Action::Send(ToMaster::Rendered { .. })]), "{all:?}");
-            s.batch_sent();
-            assert_eq!(actions(&mut s), leaves);
-        }
-        // Nothing is being rendered, as the transport does not keep up; something is kept for the next batch.
-        let mut s = loaded();
-        s.message(ToWorker::Frame(frame(1, ReturnMode::Batches { min_bytes: 17 })));
-        assign(&mut s, 1, [0]);
-        let Some(Action::Render(task)) = s.poll() else { panic!("nothing to render") };
-        s.in_flight = limits::BATCHES_IN_FLIGHT;
-        assign(&mut s, 1, [1]);
-        finish(&mut s, task);
-        assert!(matches!(actions(&mut s)[..], [Action::Send(ToMaster::Rendered { tiles: 1, .. })]));
-        s.drain();
-        assert!(matches!(&actions(&mut s)[..], [Action::Return(batch)] if batch.pixels.len() == 1));
-        for _ in 0..limits::BATCHES_IN_FLIGHT {
-            s.batch_sent();
-            assert_eq!(actions(&mut s), []);
-        }
-        s.batch_sent();
-        assert_eq!(actions(&mut s), leaves);
-
-        let mut s = loaded();
-        s.drain();
-        assert_eq!(actions(&mut s), leaves, "it has no work");
-        let mut s = Session::start(hello(), None, Duration::ZERO);
-        actions(&mut s);
-        s.drain();
-        assert_eq!(actions(&mut s), leaves, "it has not even joined");
-    }
-
-    #[test]
-    fn packs_are_refused_kept_and_replaced() {
-        let mut s = joined(Some(100));
-        s.message(ToWorker::PackOffer { pack: PACK, length: 101 });
-        let reason = PackRefusal::OutOfMemory { needs: 101, has: 100 };
-        assert_eq!(actions(&mut s), [Action::Send(ToMaster::PackRejected { pack: PACK, reason })]);
-        let mut s = joined(None);
-        s.message(ToWorker::PackOffer { pack: PACK, length: 5 });
-        actions(&mut s);
-        let reason = PackRefusal::OutOfMemory { needs: 5, has: 0 };
-        s.pack_reserved(PACK, Err(reason.clone()));
-        assert_eq!(actions(&mut s), [Action::Send(ToMaster::PackRejected { pack: PACK, reason })]);
-        let mut s = joined(None);
-        s.message(ToWorker::PackOffer { pack: PACK, length: 5 });
-        actions(&mut s);
-        s.pack_found(PACK);
-        let have = Action::Send(ToMaster::PackNeed { pack: PACK, have: true });
-        assert_eq!(actions(&mut s), [have, Action::Send(ToMaster::PackReady { pack: PACK })]);
-        let mut s = joined(None);
-        s.message(ToWorker::PackOffer { pack: PACK, length: u64::MAX });
-        assert!(matches!(actions(&mut s)[..], [Action::Send(ToMaster::PackRejected { .. })]));
-
-        let mut s = loaded();
-        s.message(ToWorker::PackOffer { pack: PACK, length: 5 });
-        let have = Action::Send(ToMaster::PackNeed { pack: PACK, have: true });
-        assert_eq!(actions(&mut s), [have, Action::Send(ToMaster::PackReady { pack: PACK })]);
-        let other = PackId([1; 32]);
-        s.message(ToWorker::PackOffer { pack: other, length: 5 });
-        actions(&mut s);
-        s.message(ToWorker::Frame(frame(1, ReturnMode::AtEnd)));
-        check_aborted(&mut s, AbortCode::BadFrame);
-
-        let mut s = joined(None);
-        s.message(ToWorker::PackOffer { pack: PACK, length: 5 });
-        s.pack_reserved(PACK, Ok(()));
-        actions(&mut s);
-        let reason = PackRefusal::HashMismatch { got: other };
-        s.pack_received(PACK, Err(reason.clone()));
-        assert_eq!(actions(&mut s), [Action::Send(ToMaster::PackRejected { pack: PACK, reason })]);
-    }
-
-    #[test]
-    fn what_the_state_does_not_allow_ends_the_session() {
-        let end = ToWorker::EndFrame { frame: FrameId(1) };
-        let tiles = |list: &[u32]| ToWorker::Assign {
-            frame: FrameId(1),
-            attempt: Attempt(0),
-            tiles: list.iter().copied().map(TileId).collect(),
-        };
-        let check = |s: Session, messages: &[ToWorker], code| {
-            let mut s = s;
-            messages.iter().for_each(|m| s.message(m.clone()));
-            check_aborted(&mut s, code);
-        };
-        let first = ToWorker::Frame(frame(1, ReturnMode::AtEnd));
-        let welcome = |version| ToWorker::Welcome { version, worker: WorkerId(0) };
-        let new = || Session::start(hello(), None, Duration::ZERO);
-        check(new(), std::slice::from_ref(&end), AbortCode::Unexpected);
-        check(new(), &[welcome(1)], AbortCode::Unexpected);
-        check(new(), &[welcome(9)], AbortCode::Unexpected);
-        check(joined(None), &[welcome(2)], AbortCode::Unexpected);
-        let refusal = Refusal::NumericClass { expected: "gpu-1".into() };
-        check(joined(None), &[ToWorker::Refuse(refusal)], AbortCode::Unexpected);
-        check(joined(None), std::slice::from_ref(&first), AbortCode::BadFrame);
-        check(loaded(), &[end], AbortCode::Unexpected);
-        check(loaded(), &[tiles(&[0])], AbortCode::Unexpected);
-        check(loaded(), &[first.clone(), first.clone()], AbortCode::Unexpected);
-        check(loaded(), &[first.clone(), tiles(&[])], AbortCode::BadTiles);
-        check(loaded(), &[first.clone(), tiles(&[4])], AbortCode::BadTiles);
-        check(loaded(), &[first.clone(), tiles(&[0, 1, 2, 3, 0])], AbortCode::BadTiles);
-        let offer = ToWorker::PackOffer { pack: PACK, length: 1 };
-        check(loaded(), &[first, offer], AbortCode::Unexpected);
-        let mut wild = frame(1, ReturnMode::AtEnd);
-        wild.camera.forward[0] = f32::NAN;
-        check(loaded(), &[ToWorker::Frame(wild)], AbortCode::BadFrame);
-    }
-
-    #[test]
-    fn endings() {
-        let mut s = Session::start(hello(), None, Duration::ZERO);
-        actions(&mut s);
-        s.tick(limits::HANDSHAKE_TIMEOUT - Duration::from_nanos(1));
-        assert_eq!(actions(&mut s), []);
-        s.tick(limits::HANDSHAKE_TIMEOUT);
-        check_aborted(&mut s, AbortCode::Timeout);
-
-        let mut s = Session::start(hello(), None, Duration::ZERO);
-        actions(&mut s);
-        let refusal = Refusal::Version { supported: vec![9] };
-        s.message(ToWorker::Refuse(refusal.clone()));
-        assert_eq!(actions(&mut s), [Action::Over(Ending::Refused(refusal))]);
-
-        let mut s = loaded();
-        s.message(ToWorker::Dismiss);
-        assert_eq!(actions(&mut s), [Action::Over(Ending::Dismissed)]);
-
-        let leaves = [Action::Send(ToMaster::Leave), Action::Over(Ending::Left)];
-        let mut s = loaded();
-        s.leave();
-        assert_eq!(actions(&mut s), leaves);
-
-        // The second tile takes too long: the first is not thrown away.
-        let mut s = loaded();
-        s.message(ToWorker::Frame(frame(1, ReturnMode::AtEnd)));
-        assign(&mut s, 1, [0, 1]);
-        let Some(Action::Render(first)) = s.poll() else { panic!("nothing to render") };
-        let (time, rays) = (Duration::ZERO, Rays::default());
-        s.rendered(RenderedTile { task: first, pixels: vec![0; 16], time, rays });
-        assert!(matches!(actions(&mut s)[..], [Action::Render(_)]));
-        s.drain();
-        assert_eq!(actions(&mut s), []);
-        s.leave();
-        let last = actions(&mut s);
-        let [Action::Send(ToMaster::Rendered { tiles: 1, .. }), Action::Return(batch), rest @ ..] = &last[..]
-        else {
-            panic!("{last:?}")
-        };
-        assert!(batch.header.tiles[0].tile == first.tile && *rest == leaves);
-    }
-}
+mod tests;

@@ -9,6 +9,8 @@
 //! | `pixel.rs` | blocks, averages, pixel formats |
 //! | `sample.rs` | where the samples of a pixel lie |
 //! | `path.rs` | the tree of rays behind a sample |
+//! | [`probe`] | every ray of such a tree, written down |
+//! | [`replay`] | another renderer's rays, followed step by step |
 //! | [`shade`] | the material model and a surface's own light |
 //! | `light.rs` | lights and shadow rays |
 //! | `surface.rs` | what a ray has hit |
@@ -23,6 +25,8 @@ pub mod frame;
 mod light;
 mod path;
 pub mod pixel;
+pub mod probe;
+pub mod replay;
 mod sample;
 mod scene;
 pub mod shade;
@@ -32,4 +36,5 @@ pub mod variant;
 
 pub use frame::{Features, FrameParams, PixelFormat, RayCounts};
 pub use pixel::{NUMERIC_CLASS, PixelBlock};
+pub use probe::Probe;
 pub use scene::Renderer;

@@ -1,10 +1,11 @@
 //! Lights and the shadow rays towards them.
 
+use crate::Features;
 use crate::path::{After, MAX_LAYERS, MIN_WEIGHT};
+use crate::probe::{Direct, Tracer};
 use crate::scene::{Renderer, lets_light_through};
 use crate::shade::glass_share;
 use crate::surface::paint_at;
-use crate::{Features, path};
 use tessera_geometry::wide::{LANES, lanes_in};
 use tessera_geometry::{Hit, Ray, Vec3, rounding::gamma};
 use tessera_pack::{Light, LightKind};
@@ -82,15 +83,24 @@ fn cone(cosine: f32, cos_inner: f32, cos_outer: f32) -> f32 {
 ///
 /// Occluders begin at the ray's `t_min`, and any side of them is opaque. Holes pass light. Glass passes it unbent with its share
 /// times its colour, and what blends passes `1 - alpha` besides.
-pub(crate) fn transmittance(scene: &Renderer<'_>, features: Features, ray: &Ray) -> Vec3 {
+pub(crate) fn transmittance(
+    scene: &Renderer<'_>,
+    features: Features,
+    ray: &Ray,
+    tracer: &mut impl Tracer,
+) -> Vec3 {
     // Look for anything opaque: in most scenes the whole question.
+    if tracer.is_blocked(scene, ray) { Vec3::ZERO } else { filtered(scene, features, ray, tracer) }
+}
+
+/// Whether anything opaque is on `ray`.
+pub(crate) fn is_blocked(scene: &Renderer<'_>, ray: &Ray) -> bool {
     let (tree, mesh) = (&scene.tree, &scene.mesh);
-    let blocked = match (scene.needs.see_through, scene.needs.holes) {
+    match (scene.needs.see_through, scene.needs.holes) {
         (false, false) => tree.any_hit(mesh, ray, |_| true),
         (false, true) => tree.any_hit(mesh, ray, |hit| scene.is_solid(hit)),
         (true, _) => tree.any_hit(mesh, ray, |hit| is_opaque(scene, hit)),
-    };
-    if blocked { Vec3::ZERO } else { filtered(scene, features, ray) }
+    }
 }
 
 /// [`transmittance`] along those of eight rays whose bit is set in `lanes`.
@@ -108,18 +118,18 @@ pub(crate) fn transmittances(
     };
     let mut shares = [Vec3::ZERO; LANES];
     for lane in lanes_in(lanes & !blocked) {
-        shares[lane] = filtered(scene, features, &rays[lane]);
+        shares[lane] = filtered(scene, features, &rays[lane], &mut Direct);
     }
     shares
 }
 
 /// Whether no light passes at `hit`.
-fn is_opaque(scene: &Renderer<'_>, hit: &Hit) -> bool {
+pub(crate) fn is_opaque(scene: &Renderer<'_>, hit: &Hit) -> bool {
     !lets_light_through(scene.material(hit.triangle)) && scene.is_solid(hit)
 }
 
 /// The share of a light along `ray`, which meets nothing opaque.
-fn filtered(scene: &Renderer<'_>, features: Features, ray: &Ray) -> Vec3 {
+fn filtered(scene: &Renderer<'_>, features: Features, ray: &Ray, tracer: &mut impl Tracer) -> Vec3 {
     // Filter the light surface by surface, each once: a traversal may meet a triangle in several leaves, but (t, id) orders
     // the hits whatever the tree.
     let mut passed = Vec3::ONE;
@@ -128,10 +138,11 @@ fn filtered(scene: &Renderer<'_>, features: Features, ray: &Ray) -> Vec3 {
     }
     let mut after = After::start(ray.t_min);
     for _ in 0..MAX_LAYERS {
-        let Some(hit) = path::nearest(scene, ray, after) else { return passed };
+        let Some(hit) = tracer.layer(scene, ray, after) else { return passed };
         let paint = paint_at(scene, &hit);
         let through = paint.base * (glass_share(&paint, features) * paint.alpha);
         passed *= through + Vec3::splat(1.0 - paint.alpha);
+        tracer.dimmed(passed.max_element());
         if passed.max_element() < MIN_WEIGHT {
             return Vec3::ZERO;
         }

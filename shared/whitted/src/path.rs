@@ -12,6 +12,7 @@
 //! * **Layers.** Straight continuations (blending, thin walls, `ior == 1`) do not count as depth, but a path passes
 //!   at most [`MAX_LAYERS`] of them; behind the last one it is black and opaque.
 
+use crate::probe::{Direct, Tracer};
 use crate::scene::Renderer;
 use crate::shade::{View, local_light, local_lights, reflect};
 use crate::surface::{clearance, offset_origin, paint_at};
@@ -34,12 +35,23 @@ pub(crate) enum Passage {
     Bent(Vec3),
 }
 
+/// Which of the rays behind a surface it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Way {
+    /// The same ray, farther on.
+    On,
+    /// Into or out of glass.
+    Bent,
+    /// Off a mirror.
+    Mirror,
+}
+
 /// A place on a ray: hits count when they come after it in the order (t, triangle). No triangle comes after
 /// [`Hit::NO_TRIANGLE`], so with it hits at that very `t` are out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct After {
-    t: f32,
-    triangle: u32,
+    pub(crate) t: f32,
+    pub(crate) triangle: u32,
 }
 
 impl After {
@@ -200,7 +212,7 @@ pub(crate) fn trace(
     for lane in lanes_in(lanes) {
         let Ray { origin, direction, .. } = eyes[lane];
         let (after, weight) = (After::EYE, Vec3::ONE);
-        let mut path = Path { scene, params, seen: &mut seen[lane], stack, counts };
+        let mut path = Path { scene, params, seen: &mut seen[lane], stack, counts, tracer: &mut Direct };
         path.stack.len = 0;
         let segment = Segment { origin, direction, after, weight, depth: 0, layers: 0 };
         match &views[lane] {
@@ -209,6 +221,24 @@ pub(crate) fn trace(
         }
         path.follow();
     }
+    seen
+}
+
+/// Follows `eye` and everything behind it ray by ray, with `tracer`: what [`trace`] sees along that ray, and the same rays in one order.
+pub(crate) fn trace_singly(
+    scene: &Renderer<'_>,
+    params: &FrameParams,
+    eye: &Ray,
+    counts: &mut RayCounts,
+    tracer: &mut impl Tracer,
+) -> Seen {
+    counts.primary += 1;
+    let mut seen = Seen { color: Vec3::ZERO, alpha: 1.0, first: None };
+    let mut stack = PathStack::new();
+    let Ray { origin, direction, .. } = *eye;
+    let (after, weight) = (After::EYE, Vec3::ONE);
+    stack.push(Segment { origin, direction, after, weight, depth: 0, layers: 0 });
+    Path { scene, params, seen: &mut seen, stack: &mut stack, counts, tracer }.follow();
     seen
 }
 
@@ -227,29 +257,37 @@ fn first_hits(scene: &Renderer<'_>, eyes: &[Ray; LANES], lanes: u8) -> [Option<H
 }
 
 /// One path on its way.
-struct Path<'a, 'p> {
+struct Path<'a, 'p, T> {
     scene: &'a Renderer<'p>,
     params: &'a FrameParams,
     seen: &'a mut Seen,
     stack: &'a mut PathStack,
     counts: &'a mut RayCounts,
+    tracer: &'a mut T,
 }
 
-impl Path<'_, '_> {
+impl<T: Tracer> Path<'_, '_, T> {
     /// Traces the rays that wait, and those behind them.
     fn follow(&mut self) {
         let (scene, features) = (self.scene, self.params.features);
-        while let Some(segment) = self.stack.pop() {
+        while let Some(mut segment) = self.stack.pop() {
             let Segment { origin, direction, after, weight, .. } = segment;
-            let ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
-            let Some(hit) = nearest_seen(scene, &ray, after) else {
+            let mut ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+            let hit = self.tracer.look(scene, &mut ray, after);
+            let direction = ray.direction;
+            (segment.origin, segment.direction) = (ray.origin, direction);
+            let Some(hit) = hit else {
                 self.leave(&segment);
                 continue;
             };
             let view = View::new(scene, features, hit, direction);
+            self.tracer.met(scene, &ray, &view);
             let is_covered = weight * view.alpha != Vec3::ZERO;
-            let light =
-                if is_covered { local_light(scene, features, &view, self.counts) } else { Vec3::ZERO };
+            let light = if is_covered {
+                local_light(scene, features, &view, self.counts, self.tracer)
+            } else {
+                Vec3::ZERO
+            };
             self.meet(&segment, &view, light);
         }
     }
@@ -282,8 +320,8 @@ impl Path<'_, '_> {
         }
         if layers < MAX_LAYERS {
             let after = After::hit(hit);
-            self.counts.refraction +=
-                self.stack.push(Segment { after, weight: straight, layers: layers + 1, ..segment });
+            let on = Segment { after, weight: straight, layers: layers + 1, ..segment };
+            self.counts.refraction += self.push(on, Way::On);
         }
         if depth >= self.params.max_depth.min(FrameParams::MAX_DEPTH) {
             return;
@@ -295,7 +333,8 @@ impl Path<'_, '_> {
         if let Passage::Bent(bent) = terms.passage {
             let origin = offset_origin(surface, -surface.facing);
             let weight = covered * terms.passed;
-            self.counts.refraction += self.stack.push(Segment { origin, direction: bent, weight, ..ray });
+            let bent = Segment { origin, direction: bent, weight, ..ray };
+            self.counts.refraction += self.push(bent, Way::Bent);
         }
 
         // Follow the mirror.
@@ -303,7 +342,15 @@ impl Path<'_, '_> {
             let origin = offset_origin(surface, surface.facing);
             let direction = reflect(direction, surface);
             let weight = covered * terms.mirror;
-            self.counts.reflection += self.stack.push(Segment { origin, direction, weight, ..ray });
+            let mirrored = Segment { origin, direction, weight, ..ray };
+            self.counts.reflection += self.push(mirrored, Way::Mirror);
         }
+    }
+
+    /// [`PathStack::push`].
+    fn push(&mut self, segment: Segment, way: Way) -> u64 {
+        let pushed = self.stack.push(segment);
+        self.tracer.pushed(way, segment.weight.max_element(), pushed > 0);
+        pushed
     }
 }

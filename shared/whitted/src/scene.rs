@@ -77,6 +77,10 @@ impl<'a> Renderer<'a> {
         &self.materials[self.pack.material_of(id) as usize]
     }
 
+    pub(crate) fn triangle_count(&self) -> u32 {
+        self.pack.triangle_count()
+    }
+
     /// The flattened scene's id of packed triangle `id`.
     pub(crate) fn original_id(&self, id: u32) -> u32 {
         self.pack.original_id(id)
@@ -99,6 +103,11 @@ impl<'a> Renderer<'a> {
         }
 
         // Compare alpha with the cut-off.
+        self.mask_alpha(material, hit) >= material.alpha_cutoff
+    }
+
+    /// What [`Renderer::is_solid`] compares with the cut-off of `material`, which is that of `hit`.
+    pub(crate) fn mask_alpha(&self, material: &Material, hit: &Hit) -> f32 {
         let indices = self.mesh.indices(hit.triangle);
         let mut alpha = material.base_color[3];
         if self.needs.colors {
@@ -107,7 +116,7 @@ impl<'a> Renderer<'a> {
         if self.needs.uvs && material.base_texture != NO_TEXTURE && alpha > 0.0 {
             alpha *= self.images.lookup_alpha(material.base_texture, self.uv_at(indices, hit));
         }
-        alpha >= material.alpha_cutoff
+        alpha
     }
 
     /// Whether a ray along `direction` meets `hit` on a side that is seen.

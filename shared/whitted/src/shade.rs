@@ -47,6 +47,7 @@
 
 use crate::Features;
 use crate::light;
+use crate::probe::Tracer;
 use crate::scene::Renderer;
 use crate::surface::{Paint, Surface, clearance, offset_origin, paint_at, surface_at};
 use crate::{RayCounts, path::Passage};
@@ -263,6 +264,7 @@ pub(crate) fn local_light(
     features: Features,
     view: &View,
     counts: &mut RayCounts,
+    tracer: &mut impl Tracer,
 ) -> Vec3 {
     let (mut sum, is_lit) = view.unlit_part(scene);
     if !is_lit {
@@ -270,10 +272,11 @@ pub(crate) fn local_light(
     }
     let origin = offset_origin(&view.surface, view.surface.facing);
     for light in scene.lights {
+        tracer.asked(scene, view, light, origin);
         let Some((sent_back, ray)) = view.sent_back(scene, light, origin) else { continue };
         if features.shadows {
             counts.shadow += 1;
-            sum += sent_back * light::transmittance(scene, features, &ray);
+            sum += sent_back * light::transmittance(scene, features, &ray, tracer);
         } else {
             sum += sent_back;
         }

@@ -11,6 +11,9 @@ use tessera_wire::{Frame, PixelFormat, Rays, Rect};
 /// What `Hello` calls this backend.
 pub(crate) const NAME: &str = "cpu";
 
+/// Tiles that the render thread is handed before it has finished any. All threads are at one tile, and the next is handed over in microseconds.
+pub(crate) const TILES_AHEAD: usize = 1;
+
 /// Pixels that one task renders: about a quarter of a millisecond of work in the cheapest scene, against a
 /// microsecond to hand it out, and 64 tasks in a tile of 128 x 128, so that threads finish within 1/64 of
 /// each other's work.

@@ -90,6 +90,15 @@ pub enum BackendError {
     },
 }
 
+/// Why a pack is not held.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PackFault {
+    /// It is too large.
+    Refused(PackRefusal),
+    /// The device has failed, with the reason.
+    Failed(String),
+}
+
 /// What renders, opened once for the life of a worker. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Backend {
@@ -221,16 +230,19 @@ impl Backend {
         &self.inner.note
     }
 
-    /// Whether it can hold `pack`; a GPU takes it into its memory here.
-    pub fn check_pack(&self, pack: &Pack) -> Result<(), PackRefusal> {
+    /// Whether it can hold `pack`; a GPU takes it into its memory here, which may take a second.
+    pub fn check_pack(&self, pack: &Pack) -> Result<(), PackFault> {
         let Engine::Gpu(engine) = &self.inner.engine else { return Ok(()) };
         engine.scene(pack).map(|_| ()).map_err(|error| match error {
-            GpuError::CannotHold { needs, has, what } => PackRefusal::CannotHold {
+            GpuError::CannotHold { needs, has, what } => PackFault::Refused(PackRefusal::CannotHold {
                 needs,
                 has,
-                what: format!("the GPU {}: {what}", engine.gpu.adapter().name),
-            },
-            error => PackRefusal::Transfer { detail: error.to_string() },
+                what: format!("the {what} of the GPU {}", engine.gpu.adapter().name),
+            }),
+            error => {
+                self.fail();
+                PackFault::Failed(error.to_string())
+            }
         })
     }
 

@@ -4,6 +4,7 @@ mod energy;
 mod frames;
 mod hard;
 mod lights;
+mod probes;
 mod refraction;
 mod sides;
 mod support;

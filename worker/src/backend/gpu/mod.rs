@@ -31,13 +31,13 @@ pub(crate) const KERNEL_VERSION: u32 = 1;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum GpuError {
     /// The scene does not fit.
-    #[error("the GPU cannot hold the scene: it needs {needs} bytes, {what} {has}")]
+    #[error("the GPU's {what} can hold {has} bytes, the scene needs {needs}")]
     CannotHold {
         /// Bytes of the scene.
         needs: u64,
         /// Bytes that there are.
         has: u64,
-        /// Of what there are so many.
+        /// What has so many: `memory`, `bindings`.
         what: &'static str,
     },
     /// The driver gave up: reset, unplugged, crashed.

@@ -49,7 +49,7 @@ impl GpuScene {
         let needs = pack.bytes().len() as u64;
         let Some(words) = DeviceWords::of(pack, &thresholds) else {
             let has = u64::from(u32::MAX) * 4;
-            return Err(GpuError::CannotHold { needs, has, what: "its kernels reach" });
+            return Err(GpuError::CannotHold { needs, has, what: "places of 32 bits" });
         };
         let (slot_bytes, word_bytes) = (words.slots.len() as u64, words.length * 4);
         let chunks = check(gpu, slot_bytes, word_bytes)?;
@@ -122,15 +122,6 @@ impl GpuScene {
 }
 
 /// How a scene is split over bindings; an error when it is too large.
-pub(crate) fn fits(gpu: &Gpu, pack: &Pack) -> Result<(), GpuError> {
-    let thresholds = [0.0; 256];
-    let needs = pack.bytes().len() as u64;
-    let Some(words) = DeviceWords::of(pack, &thresholds) else {
-        return Err(GpuError::CannotHold { needs, has: u64::from(u32::MAX) * 4, what: "its kernels reach" });
-    };
-    check(gpu, words.slots.len() as u64, words.length * 4).map(|_| ())
-}
-
 fn check(gpu: &Gpu, slot_bytes: u64, word_bytes: u64) -> Result<Chunks, GpuError> {
     let limits = gpu.limits();
     let binding = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
@@ -142,13 +133,13 @@ fn check(gpu: &Gpu, slot_bytes: u64, word_bytes: u64) -> Result<Chunks, GpuError
         return Err(GpuError::CannotHold {
             needs: needs + WORKING_BYTES,
             has: memory,
-            what: "its memory has",
+            what: "memory",
         });
     }
     chunks(slot_bytes, word_bytes, binding, bindings).ok_or(GpuError::CannotHold {
         needs,
         has: binding.saturating_mul(bindings.into()),
-        what: "its bindings reach",
+        what: "bindings",
     })
 }
 
@@ -188,7 +179,7 @@ fn upload(gpu: &Gpu, pieces: &[&[u8]], chunk: u64, total: u64, count: u32) -> Re
     let buffers = made.map_err(|error| match error {
         GpuError::Refused(reason) if reason.contains("Out of Memory") => {
             let has = gpu.adapter().memory.unwrap_or(0);
-            GpuError::CannotHold { needs: total, has, what: "the driver has no more of" }
+            GpuError::CannotHold { needs: total, has, what: "free memory" }
         }
         error => error,
     })?;
