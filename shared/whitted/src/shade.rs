@@ -81,6 +81,11 @@ pub(crate) struct Terms {
 /// Greatest exponent of a highlight.
 const MAX_EXPONENT: f32 = 1024.0;
 
+/// 2^-64: what a light sends back below it is nothing, and its shadow is not asked for. No pixel shows it; and a far highlight that a
+/// device without subnormal numbers takes for 0 (below 2^-126, before a factor of at most 42 and an irradiance of less than 2^50) is below it
+/// too, so that CPU and GPU ask the same lights.
+const LEAST_SENT: f32 = 1.0 / (1u128 << 64) as f32;
+
 /// The terms of `paint` on `surface`, met by a ray along `direction`.
 pub(crate) fn terms(paint: &Paint, surface: &Surface, direction: Vec3, features: Features) -> Terms {
     // Show an unlit colour as it is.
@@ -253,7 +258,7 @@ impl View {
         let sent_back = incoming.irradiance * (reflected * cosine);
         let t_min = clearance(surface);
         let ray = Ray { origin, direction: incoming.direction, t_min, t_max: incoming.reach };
-        (sent_back != Vec3::ZERO).then_some((sent_back, ray))
+        (sent_back.max_element() >= LEAST_SENT).then_some((sent_back, ray))
     }
 }
 

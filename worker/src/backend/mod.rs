@@ -300,6 +300,8 @@ impl GpuEngine {
         // What was held makes room first.
         *held = None;
         let scene = Arc::new(GpuScene::load(&self.gpu, pack, GpuOptions::default())?);
+        // Now, and not while the first tile is waited for.
+        scene.warm_up()?;
         *held = Some(scene.clone());
         Ok(scene)
     }

@@ -9,6 +9,7 @@ use std::time::Instant;
 use tessera_pack::Pack;
 use tessera_pack::device::DeviceWords;
 use tessera_whitted::device::{SceneInfo, code_thresholds};
+use tessera_whitted::FrameParams;
 use tessera_whitted::variant::Variant;
 use wgpu::{BindGroupLayout, Buffer, BufferDescriptor, BufferUsages, ComputePipeline};
 
@@ -37,6 +38,9 @@ const OWN_BINDINGS: u32 = 6;
 
 /// What is kept free beside a scene for pixels and sums, which are bounded by a submission's work.
 const WORKING_BYTES: u64 = 64 << 20;
+
+/// Depths of paths for which kernels are compiled: a frame takes the first that is deep enough.
+const DEPTHS: [u32; 3] = [8, 16, FrameParams::MAX_DEPTH];
 
 /// Written at once at most: the driver holds as much beside it.
 const WRITE_BYTES: usize = 32 << 20;
@@ -86,6 +90,11 @@ impl GpuScene {
         })
     }
 
+    /// Compiles the kernel that most frames use.
+    pub(crate) fn warm_up(&self) -> Result<(), GpuError> {
+        self.kernel(DEPTHS[0], Purpose::Render).map(|_| ())
+    }
+
     /// Which scene it is.
     pub(crate) fn pack(&self) -> &Pack {
         &self.pack
@@ -93,8 +102,9 @@ impl GpuScene {
 
     /// The kernel for paths of `depth` mirror and bent rays, compiled the first time.
     pub(super) fn kernel(&self, depth: u32, purpose: Purpose) -> Result<Arc<Kernel>, GpuError> {
-        // A path that needs no stack is the same at any depth.
-        let depth = if self.variant.path_stack(depth) == 1 { 0 } else { depth };
+        // A path that needs no stack is the same at any depth; others have room for a few depths.
+        let room = DEPTHS.into_iter().find(|&room| room >= depth).unwrap_or(FrameParams::MAX_DEPTH);
+        let depth = if self.variant.path_stack(room) == 1 { 0 } else { room };
         let key = KernelKey {
             variant: self.variant,
             depth,
