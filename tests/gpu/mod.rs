@@ -103,17 +103,9 @@ impl Report {
         if self.has_optics { 1e-3 } else { 1e-4 }
     }
 
-    /// What is wrong with it.
-    fn faults(&self) -> Vec<String> {
+    /// What is wrong with it, if any share of pixels may differ by rounding.
+    fn hard_faults(&self) -> Vec<String> {
         let mut faults = Vec::new();
-        let share =
-            self.findings.iter().filter(|finding| !finding.is_deep).count() as f64 / self.pixels as f64;
-        if share > self.share_max() {
-            faults.push(format!(
-                "a share of {share:.1e} took other triangles, more than {:.0e}",
-                self.share_max()
-            ));
-        }
         let unexplained = self.findings.iter().filter(|finding| !finding.why.is_explained()).count();
         if unexplained > 0 {
             faults.push(format!("{unexplained} differences are unexplained"));
@@ -123,6 +115,17 @@ impl Report {
         }
         if self.torn > 0 {
             faults.push(format!("{} pixels show another triangle than their path took", self.torn));
+        }
+        faults
+    }
+
+    /// What is wrong with it.
+    fn faults(&self) -> Vec<String> {
+        let mut faults = self.hard_faults();
+        let differing = self.findings.iter().filter(|finding| !finding.is_deep).count();
+        let (share, most) = (differing as f64 / self.pixels as f64, self.share_max());
+        if share > most {
+            faults.push(format!("a share of {share:.1e} took other triangles, more than {most:.0e}"));
         }
         faults
     }
@@ -159,6 +162,14 @@ fn check(name: &str, pack: &Pack, params: &FrameParams, other: &dyn Other) {
     let report = compare(name, pack, params, other);
     println!("{report}");
     let faults = report.faults();
+    assert!(faults.is_empty(), "{}: {}\n{report}", other.name(), faults.join("; "));
+}
+
+/// [`check`] of a scene in which rounding decides a share of pixels that nobody foresees.
+fn check_hard(name: &str, pack: &Pack, params: &FrameParams, other: &dyn Other) {
+    let report = compare(name, pack, params, other);
+    println!("{report}");
+    let faults = report.hard_faults();
     assert!(faults.is_empty(), "{}: {}\n{report}", other.name(), faults.join("; "));
 }
 
