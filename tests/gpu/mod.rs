@@ -7,6 +7,7 @@
 //! TESSERA_GPU=require cargo test --release --test tests -- gpu:: --nocapture
 //! ```
 
+mod device;
 mod hard;
 mod judge;
 mod pretend;
@@ -16,7 +17,7 @@ mod scenes;
 use judge::{Finding, TBound, judge};
 use rayon::prelude::*;
 use std::fmt;
-use std::sync::{Mutex, Once};
+use std::sync::{Mutex, Once, OnceLock};
 use tessera_geometry::{Hit, Ray};
 use tessera_pack::{NO_TEXTURE, Pack};
 use tessera_whitted::{FrameParams, PixelBlock, PixelFormat, Probe, Renderer};
@@ -46,9 +47,13 @@ trait Other: Sync {
 }
 
 /// The GPU, or why there is none.
-fn open() -> Result<Box<dyn Other>, String> {
-    // THE PLACE FOR THE GPU: open the worker's backend with its probe kernels here and return it.
-    Err("no adapter".into())
+fn open() -> Result<&'static dyn Other, String> {
+    // (A driver is opened once; it is not given back between tests.)
+    static DEVICE: OnceLock<Result<device::Device, String>> = OnceLock::new();
+    match DEVICE.get_or_init(|| device::Device::open(true)) {
+        Ok(device) => Ok(device),
+        Err(why) => Err(why.clone()),
+    }
 }
 
 /// What is tested, if anything. One test at a time: drivers are not all as safe between threads as they say, and memory is one.
@@ -59,7 +64,7 @@ fn with_other(test: impl FnOnce(&dyn Other)) {
     let asked = std::env::var("TESSERA_GPU").unwrap_or_else(|_| "allow".into());
     match (asked.as_str(), open()) {
         ("pretend", _) => test(&pretend::Cpu::nudged(1.0 / 8_388_608.0)),
-        ("require" | "allow", Ok(other)) => test(&*other),
+        ("require" | "allow", Ok(other)) => test(other),
         ("require", Err(why)) => panic!("TESSERA_GPU=require, and there is {why}"),
         ("allow", Err(why)) => skip(&why),
         ("off", _) => skip("TESSERA_GPU=off"),
