@@ -1,7 +1,7 @@
 //! A GPU against the CPU: the same triangles, but where rounding decides, and the same picture.
 //!
 //! `TESSERA_GPU=require` fails without an adapter, `off` skips aloud, `allow` (the default) skips where there is none, aloud too. `pretend` has the CPU play
-//! the GPU, with the camera turned by a digit: it tests these tests where there is no GPU.
+//! the GPU, with the camera turned by a digit and with hits in single precision: it tests these tests where there is no GPU.
 //!
 //! ```text
 //! TESSERA_GPU=require cargo test --release --test tests -- gpu:: --nocapture
@@ -52,13 +52,16 @@ fn open() -> Result<Box<dyn Other>, String> {
 }
 
 /// What is tested, if anything. One test at a time: drivers are not all as safe between threads as they say, and memory is one.
-fn with_other(test: impl FnOnce(&dyn Other)) {
+fn with_other(test: impl Fn(&dyn Other)) {
     static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
     // A test that failed has said so itself.
     let _one = ONE_AT_A_TIME.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     let asked = std::env::var("TESSERA_GPU").unwrap_or_else(|_| "allow".into());
     match (asked.as_str(), open()) {
-        ("pretend", _) => test(&pretend::Cpu::nudged(1.0 / 8_388_608.0)),
+        ("pretend", _) => {
+            test(&pretend::Cpu::nudged(f32::EPSILON));
+            test(&pretend::Single);
+        }
         ("require" | "allow", Ok(other)) => test(&*other),
         ("require", Err(why)) => panic!("TESSERA_GPU=require, and there is {why}"),
         ("allow", Err(why)) => skip(&why),

@@ -257,7 +257,7 @@ fn unkind(pack: &Pack, count: usize) -> Vec<Ray> {
 }
 
 /// Woop's test with its interpolated distance, and weights.
-fn single_precision(ray: &Ray, vertices: [tessera_geometry::Vec3; 3]) -> Option<(f32, f32, f32)> {
+pub fn single_precision(ray: &Ray, vertices: [tessera_geometry::Vec3; 3]) -> Option<(f32, f32, f32)> {
     let d = ray.direction.to_array();
     let kz = ray.direction.abs().max_position();
     let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
