@@ -51,6 +51,10 @@ impl Other for Device {
         if self.probe.uses_f64() { TBound::DOUBLE } else { TBound::SINGLE }
     }
 
+    fn is_exact(&self) -> bool {
+        self.probe.uses_f64()
+    }
+
     fn triangles_max(&self) -> u32 {
         if self.probe.adapter().kind == "software" { 300_000 } else { u32::MAX }
     }

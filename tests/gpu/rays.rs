@@ -1,7 +1,7 @@
 //! Single rays: those of [`crate::rays`], kind and unkind, and those of [`crate::leaks`], which must not slip through.
 
 use super::judge::{Bare, Finding, Sight, TBound, differ};
-use super::{Other, with_other};
+use super::{Other, with_every};
 use crate::kinds::{Random, Soup, split_planes, unkind_ray};
 use crate::leaks::{Sharing, aimed, meshes, prepare};
 use crate::rays::Subject;
@@ -123,7 +123,7 @@ fn check_scene(scene: Scene, other: &dyn Other) {
 
 #[test]
 fn rays_of_generated_scenes() {
-    with_other(|other| {
+    with_every(|other| {
         for kind in [Kind::Hall, Kind::Plant, Kind::City] {
             check_scene(generate(&Recipe { kind, triangles: 20_000, seed: 1 }).expect("in range"), other);
         }
@@ -132,7 +132,7 @@ fn rays_of_generated_scenes() {
 
 #[test]
 fn rays_of_real_scenes() {
-    with_other(|other| {
+    with_every(|other| {
         let Some(folder) = scene_folder() else { return };
         for file in ["stanford_bunny/bun_zipper.ply", "crytek_sponza/sponza.gltf"] {
             let options = LoadOptions { scenes_folder: Some(folder.clone()) };
@@ -143,7 +143,7 @@ fn rays_of_real_scenes() {
 
 #[test]
 fn h14_h15_no_ray_leaks_on_the_gpu() {
-    with_other(|other| {
+    with_every(|other| {
         for closed in meshes() {
             for sharing in [Sharing::Welded, Sharing::Unwelded, Sharing::SplitByUv] {
                 let place = (1.0, 0.0);
@@ -257,7 +257,7 @@ fn unkind(pack: &Pack, count: usize) -> Vec<Ray> {
 }
 
 /// Woop's test with its interpolated distance, and weights.
-fn single_precision(ray: &Ray, vertices: [tessera_geometry::Vec3; 3]) -> Option<(f32, f32, f32)> {
+pub fn single_precision(ray: &Ray, vertices: [tessera_geometry::Vec3; 3]) -> Option<(f32, f32, f32)> {
     let d = ray.direction.to_array();
     let kz = ray.direction.abs().max_position();
     let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
