@@ -11,6 +11,7 @@ mod corpora;
 mod deploy;
 #[cfg(target_os = "linux")]
 mod joined;
+mod kernels;
 mod leaks;
 #[cfg(target_os = "linux")]
 mod machines;

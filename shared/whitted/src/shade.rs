@@ -78,7 +78,7 @@ pub(crate) struct Terms {
 }
 
 /// Greatest exponent of a highlight.
-const MAX_EXPONENT: f32 = 1024.0;
+pub(crate) const MAX_EXPONENT: f32 = 1024.0;
 
 /// The terms of `paint` on `surface`, met by a ray along `direction`.
 pub(crate) fn terms(paint: &Paint, surface: &Surface, direction: Vec3, features: Features) -> Terms {
