@@ -293,7 +293,7 @@ mod tests {
         for step in [1.0, 0.1, 1.5e-7, 3e12, 1.0 - f64::EPSILON, 1e-36, 1e38] {
             let [mantissa, rest, power] = step_parts(step).map(f64::from);
             let back = (mantissa + rest) * power;
-            assert!((back - step).abs() <= step * 2.0f64.powi(-48), "{step}: {back}");
+            assert!((back - step).abs() <= step * libm::exp2(-48.0), "{step}: {back}");
             assert!((1.0..=2.0).contains(&mantissa));
         }
         assert_eq!(step_parts(1e-300)[2], f32::MIN_POSITIVE);

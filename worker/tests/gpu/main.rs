@@ -66,7 +66,7 @@ impl Subject {
         let mut rays: Vec<_> = (0..RAYS)
             .map(|i| {
                 let mut ray = unkind_ray(i, random, &self.soup, &self.planes);
-                ray.direction *= 10.0f32.powi(random.below(17) as i32 - 8);
+                ray.direction *= libm::powf(10.0, random.below(17) as f32 - 8.0);
                 ray
             })
             .collect();
@@ -222,12 +222,12 @@ fn alike(subject: &Subject, rays: &[Ray], expected: &[Option<Hit>], found: &[Opt
 fn slack(ray: &Ray, corners: [Vec3; 3]) -> f64 {
     let [a, b, c] = corners.map(|v| v.as_dvec3() - ray.origin.as_dvec3());
     let d = ray.direction.as_dvec3();
-    let roundoff = 2.0f64.powi(-24) * a.abs().max(b.abs()).max(c.abs()).max_element();
+    let roundoff = libm::exp2(-24.0) * a.abs().max(b.abs()).max(c.abs()).max_element();
     let normal = (b - a).cross(c - a);
     let cosine = normal.dot(d).abs() / (normal.length() * d.length());
     let longest = (b - a).length().max((c - b).length()).max((a - c).length());
     let tilt = 4.0 * roundoff * longest / normal.length();
-    if cosine > 2.0 * (2.0f64.powi(-12) + tilt) {
+    if cosine > 2.0 * (libm::exp2(-12.0) + tilt) {
         return 32.0 * roundoff / (cosine * d.length());
     }
     let axis = (0..3).max_by(|&i, &j| d[i].abs().total_cmp(&d[j].abs())).unwrap_or(0);
