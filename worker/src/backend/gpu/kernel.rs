@@ -21,6 +21,8 @@ pub enum TraversalForm {
     PrivateStack,
     /// A few entries and a trail of bits; what was forgotten is found again from the root.
     ShortStack,
+    /// The same stack as the first, but paths are taken step by step, all rays of a kind together. Single rays are as with the first.
+    Wavefront,
 }
 
 /// How kernels are made; every choice gives the same answers, but for `f64`.
@@ -75,6 +77,17 @@ pub(super) enum Purpose {
     Probe,
     /// Given rays.
     Rays,
+    /// A step of many paths: see wavefront.rs.
+    Wave(Stage),
+}
+
+/// The kernels of wavefront.wgsl.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Stage {
+    Start,
+    Turn,
+    Extend,
+    Shade,
 }
 
 impl Purpose {
@@ -83,6 +96,10 @@ impl Purpose {
             Self::Render => "render",
             Self::Probe => "probe",
             Self::Rays => "trace_rays",
+            Self::Wave(Stage::Start) => "wave_start",
+            Self::Wave(Stage::Turn) => "wave_turn",
+            Self::Wave(Stage::Extend) => "wave_extend",
+            Self::Wave(Stage::Shade) => "wave_shade",
         }
     }
 }
@@ -104,17 +121,29 @@ pub(super) fn text(key: &KernelKey) -> String {
     split(&mut text, ("word", "u32"), SLOT_BINDING + slot_bindings, word_bindings, words_log2);
     text = text.replace("fn slot(", "fn slot_at(");
     text += match key.purpose {
-        Purpose::Render => "fn record(query: Query, hit: Hit) {}\n",
+        Purpose::Render | Purpose::Wave(_) => "fn record(query: Query, hit: Hit) {}\n",
         Purpose::Probe | Purpose::Rays => include_str!("probe.wgsl"),
     };
     let precision = if key.f64 { geometry::F64 } else { geometry::F32 };
     let stack = match key.form {
-        TraversalForm::PrivateStack => kdtree::PRIVATE_STACK,
+        TraversalForm::PrivateStack | TraversalForm::Wavefront => kdtree::PRIVATE_STACK,
         TraversalForm::ShortStack => kdtree::SHORT_STACK,
     };
-    let rooms = geometry::COMMON.iter().chain(&precision).chain(&kdtree::COMMON).chain([&stack]);
+    let waiting = match key.purpose {
+        Purpose::Wave(_) => whitted::WAVEFRONT,
+        _ => whitted::WAITING,
+    };
+    let rooms = geometry::COMMON.iter().chain(&precision).chain(&kdtree::COMMON).chain([&stack, &waiting]);
     for file in rooms.chain(&tessera_pack::device::WGSL).chain(&whitted::WGSL) {
         text += file;
+    }
+    // What a purpose has of its own comes after the scene.
+    let end = SLOT_BINDING + slot_bindings + word_bindings;
+    let own = [["PROBE_INPUT", "PROBE_OUTPUT"].as_slice(), &["WAVE_STATES", "WAVE_QUEUES", "WAVE_GROUPS"]];
+    for names in own {
+        for (name, binding) in names.iter().zip(end..) {
+            text = text.replace(name, &binding.to_string());
+        }
     }
     text
 }
@@ -150,8 +179,17 @@ pub(super) fn bind_group_layout(gpu: &Gpu, chunks: Chunks, purpose: Purpose) -> 
         ty: BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
         count: None,
     };
+    let create = |entries: &[BindGroupLayoutEntry]| {
+        let descriptor = BindGroupLayoutDescriptor { label: None, entries };
+        gpu.device().create_bind_group_layout(&descriptor)
+    };
     let read = BufferBindingType::Storage { read_only: true };
     let write = BufferBindingType::Storage { read_only: false };
+    let end = SLOT_BINDING + chunks.slot_bindings + chunks.word_bindings;
+    // A binding that a dispatch takes its size from cannot be written by a kernel that has it bound: only this one has.
+    if purpose == Purpose::Wave(Stage::Turn) {
+        return create(&[entry(end + 1, write), entry(end + 2, write)]);
+    }
     let mut entries = vec![
         entry(0, BufferBindingType::Uniform),
         entry(1, BufferBindingType::Uniform),
@@ -160,13 +198,13 @@ pub(super) fn bind_group_layout(gpu: &Gpu, chunks: Chunks, purpose: Purpose) -> 
         entry(4, write),
         entry(5, write),
     ];
-    let end = SLOT_BINDING + chunks.slot_bindings + chunks.word_bindings;
     entries.extend((SLOT_BINDING..end).map(|binding| entry(binding, read)));
-    if purpose != Purpose::Render {
-        entries.extend([entry(end, read), entry(end + 1, write)]);
+    match purpose {
+        Purpose::Render => {}
+        Purpose::Probe | Purpose::Rays => entries.extend([entry(end, read), entry(end + 1, write)]),
+        Purpose::Wave(_) => entries.extend([entry(end, write), entry(end + 1, write)]),
     }
-    let descriptor = BindGroupLayoutDescriptor { label: None, entries: &entries };
-    gpu.device().create_bind_group_layout(&descriptor)
+    create(&entries)
 }
 
 /// Compiles a kernel.
@@ -175,9 +213,7 @@ pub(super) fn compile(
     key: &KernelKey,
     layout: &BindGroupLayout,
 ) -> Result<ComputePipeline, GpuError> {
-    let end = SLOT_BINDING + key.chunks.slot_bindings + key.chunks.word_bindings;
-    let text =
-        text(key).replace("PROBE_INPUT", &end.to_string()).replace("PROBE_OUTPUT", &(end + 1).to_string());
+    let text = text(key);
     gpu.try_make(|| {
         let source = ShaderSource::Wgsl(Cow::Owned(text));
         let module = shader_module(gpu, ShaderModuleDescriptor { label: Some(key.purpose.entry()), source });
@@ -206,7 +242,8 @@ pub(super) fn compile(
 fn shader_module(gpu: &Gpu, descriptor: ShaderModuleDescriptor<'_>) -> wgpu::ShaderModule {
     // SAFETY: the kernels read a pack's sections at places that come from the pack alone, which `Pack::check` has held to their sections;
     // write pixels, sums and counts at places that `tiles.rs` and `probe.rs` have sized their buffers for; and keep stacks within the
-    // bounds that hold for a valid tree (`MAX_DEPTH`) and a path (`Variant::path_stack`). Loops run over lists, levels, layers and
-    // waiting rays, each of which is bounded. No divisor of an integer is 0.
+    // bounds that hold for a valid tree (`MAX_DEPTH`) and a path (`Variant::path_stack`); states and queues are of the size that
+    // `wavefront.rs` tells the kernels, which queue each state once. Loops run over lists, levels, layers, waiting rays and jobs, each
+    // of which is bounded. No divisor of an integer is 0.
     unsafe { gpu.device().create_shader_module_trusted(descriptor, ShaderRuntimeChecks::unchecked()) }
 }

@@ -7,7 +7,9 @@
 //! | `kernel.rs` | the kernels' text and what is compiled of it |
 //! | `scene.rs` | a pack in its memory |
 //! | `pass.rs` | tiles cut into pieces of bounded work; pure |
+//! | `slot.rs` | the buffers of one submission |
 //! | `tiles.rs` | tiles on their way: submitted, awaited, read back |
+//! | `wavefront.rs` | the same paths step by step, all rays of a kind together |
 //! | `probe.rs` | single rays and paths, for tests and tools |
 //!
 //! The work goes in submissions of bounded length, two of them under way: while one is computed, the pixels of the one before are read back.
@@ -18,7 +20,9 @@ mod kernel;
 mod pass;
 pub mod probe;
 mod scene;
+mod slot;
 pub(crate) mod tiles;
+mod wavefront;
 
 pub(crate) use device::Gpu;
 pub use kernel::{GpuOptions, TraversalForm};

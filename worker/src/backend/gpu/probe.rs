@@ -1,7 +1,8 @@
 //! Single rays, and the rays behind single pixels, on a GPU: for tests that hold it to the CPU, and for tools.
 
 use super::kernel::Purpose;
-use super::tiles::{Tiles, make_buffer};
+use super::slot::make_buffer;
+use super::tiles::Tiles;
 use super::{Gpu, GpuError, GpuOptions, GpuScene};
 use crate::backend::{Adapter, BackendError};
 use bytemuck::{bytes_of, cast_slice};

@@ -1,7 +1,8 @@
 //! A pack in a GPU's memory, and the kernels that were compiled for it.
 
 use super::kernel::{Chunks, GpuOptions, KernelKey, Purpose, bind_group_layout, compile};
-use super::{Gpu, GpuError};
+use super::wavefront::STATE_BYTES;
+use super::{Gpu, GpuError, TraversalForm, tiles};
 use bytemuck::bytes_of;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -32,7 +33,8 @@ pub(super) struct Kernel {
     pub(super) layout: BindGroupLayout,
 }
 
-/// Storage buffers of a kernel that are not of the scene: jobs, pixels, sums, counts, and two for probes.
+/// Storage buffers of a kernel that are not of the scene: jobs, pixels, sums, counts, and two for probes or for paths that are taken step
+/// by step.
 const OWN_BINDINGS: u32 = 6;
 
 /// What is kept free beside a scene for pixels and sums, which are bounded by a submission's work.
@@ -52,7 +54,11 @@ impl GpuScene {
             return Err(GpuError::CannotHold { needs, has, what: "its kernels reach" });
         };
         let (slot_bytes, word_bytes) = (words.slots.len() as u64, words.length * 4);
-        let chunks = check(gpu, slot_bytes, word_bytes)?;
+        let working = match options.form {
+            TraversalForm::Wavefront => WORKING_BYTES + tiles::UNDER_WAY as u64 * STATE_BYTES,
+            TraversalForm::PrivateStack | TraversalForm::ShortStack => WORKING_BYTES,
+        };
+        let chunks = check(gpu, slot_bytes, word_bytes, working)?;
 
         let slots = upload(gpu, &[words.slots], 8 << chunks.slots_log2, slot_bytes, chunks.slot_bindings)?;
         let rows = upload(gpu, &words.pieces, 4 << chunks.words_log2, word_bytes, chunks.word_bindings)?;
@@ -89,6 +95,11 @@ impl GpuScene {
     /// Which scene it is.
     pub(crate) fn pack(&self) -> &Pack {
         &self.pack
+    }
+
+    /// Greatest number of waiting rays of a path.
+    pub(super) fn path_stack(&self, depth: u32) -> u32 {
+        self.variant.path_stack(depth)
     }
 
     /// The kernel for paths of `depth` mirror and bent rays, compiled the first time.
@@ -128,22 +139,18 @@ pub(crate) fn fits(gpu: &Gpu, pack: &Pack) -> Result<(), GpuError> {
     let Some(words) = DeviceWords::of(pack, &thresholds) else {
         return Err(GpuError::CannotHold { needs, has: u64::from(u32::MAX) * 4, what: "its kernels reach" });
     };
-    check(gpu, words.slots.len() as u64, words.length * 4).map(|_| ())
+    check(gpu, words.slots.len() as u64, words.length * 4, WORKING_BYTES).map(|_| ())
 }
 
-fn check(gpu: &Gpu, slot_bytes: u64, word_bytes: u64) -> Result<Chunks, GpuError> {
+fn check(gpu: &Gpu, slot_bytes: u64, word_bytes: u64, working: u64) -> Result<Chunks, GpuError> {
     let limits = gpu.limits();
     let binding = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
     let bindings = limits.max_storage_buffers_per_shader_stage.saturating_sub(OWN_BINDINGS);
     let needs = slot_bytes + word_bytes;
     if let Some(memory) = gpu.adapter().memory
-        && needs + WORKING_BYTES > memory
+        && needs + working > memory
     {
-        return Err(GpuError::CannotHold {
-            needs: needs + WORKING_BYTES,
-            has: memory,
-            what: "its memory has",
-        });
+        return Err(GpuError::CannotHold { needs: needs + working, has: memory, what: "its memory has" });
     }
     chunks(slot_bytes, word_bytes, binding, bindings).ok_or(GpuError::CannotHold {
         needs,
