@@ -137,7 +137,7 @@ fn frame(pack: &Pack, (width, height): (u32, u32), samples: u32, format: PixelFo
         },
         width,
         height,
-        tile: width.max(height),
+        tile: 48,
         samples,
         depth: 6,
         seed: 7,
@@ -152,7 +152,8 @@ fn all_forms_render_the_same_bytes() {
     let Some(probes) = probes() else { return };
     let pack = scene();
     let scenes = probes.map(|probe| probe.load(&pack).expect("a scene that fits"));
-    // More pixels than paths are under way on a software driver; edges that cut blocks; fewer pixels than a block.
+    // Tiles together in a submission; more pixels than paths are under way on a software driver; edges that cut blocks; fewer pixels
+    // than a block.
     for (size, samples, format) in [
         ((131, 70), 3, PixelFormat::Rgba8),
         ((37, 21), 4, PixelFormat::Layers),

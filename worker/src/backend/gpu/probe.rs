@@ -126,17 +126,34 @@ impl ProbedScene {
         Ok(paths)
     }
 
-    /// A whole frame, in its wire format, as a worker renders it.
+    /// A whole frame, in its wire format, tile by tile as a worker renders it.
     pub fn frame(&self, frame: &tessera_wire::Frame) -> Result<(Vec<u8>, tessera_wire::Rays), GpuError> {
-        let rect = tessera_wire::Rect { x: 0, y: 0, width: frame.width, height: frame.height };
-        let (tile, attempt) = (tessera_wire::TileId(0), tessera_wire::Attempt(0));
+        let tessera_wire::Frame { width, height, tile: side, .. } = *frame;
+        let side = side.max(1);
         let mut tiles = Tiles::new(self.scene.clone())?;
-        tiles.push(crate::session::RenderTask { frame: *frame, tile, attempt, rect });
-        loop {
-            if let Some(done) = tiles.turn()?.pop() {
-                return Ok((done.pixels, done.rays));
+        let corners = (0..height.div_ceil(side)).flat_map(|y| (0..width.div_ceil(side)).map(move |x| (x, y)));
+        for ((x, y), number) in corners.zip(0..) {
+            let (x, y) = (x * side, y * side);
+            let rect = tessera_wire::Rect { x, y, width: side.min(width - x), height: side.min(height - y) };
+            let (tile, attempt) = (tessera_wire::TileId(number), tessera_wire::Attempt(0));
+            tiles.push(crate::session::RenderTask { frame: *frame, tile, attempt, rect });
+        }
+        let mut rays = tessera_wire::Rays::default();
+        let mut pixels = Vec::new();
+        while !tiles.is_idle() {
+            for done in tiles.turn()? {
+                rays += done.rays;
+                let tessera_wire::Rect { x, y, width: columns, height: rows } = done.task.rect;
+                let row_bytes = done.pixels.len() / rows as usize;
+                let pixel_bytes = row_bytes / columns as usize;
+                pixels.resize((width * height) as usize * pixel_bytes, 0);
+                for (row, from) in (y..).zip(done.pixels.chunks_exact(row_bytes)) {
+                    let at = (row * width + x) as usize * pixel_bytes;
+                    pixels[at..][..row_bytes].copy_from_slice(from);
+                }
             }
         }
+        Ok((pixels, rays))
     }
 
     /// Runs a kernel over `count` items with `input`, and returns `words` of output.
