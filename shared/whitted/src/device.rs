@@ -24,6 +24,17 @@ pub const WGSL: [&str; 11] = [
     include_str!("texture.wgsl"),
 ];
 
+/// The text of waiting rays, for kernels that follow a path from its beginning to its end.
+pub const WAITING: &str = include_str!("waiting.wgsl");
+
+/// The text, instead of [`WAITING`], of kernels that take paths step by step.
+pub const WAVEFRONT: &str = include_str!("wavefront.wgsl");
+
+/// `vec4`s of a path between two steps, of which at most `path_stack` rays wait: `ROW_*` in wavefront.wgsl.
+pub const fn state_quads(path_stack: u32) -> u32 {
+    24 + 3 * path_stack.saturating_sub(1)
+}
+
 /// An environment taken apart; `Backdrop` in environment.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -249,8 +260,8 @@ pub struct Job {
     pub end_sample: u32,
     /// First word of its pixels in the buffer of pixels.
     pub at_pixels: u32,
-    /// First of its places among the half-made sums.
-    pub at_sums: u32,
+    /// First of its blocks of 8 x 8 pixels, those of the jobs before it counted.
+    pub first_block: u32,
 }
 
 const _: () = assert!(size_of::<Job>() == 32);
@@ -289,11 +300,17 @@ mod tests {
     }
 
     #[test]
+    fn states_have_room_for_the_rays_that_wait() {
+        assert!(WAVEFRONT.contains(&format!("const ROW_WAITING: u32 = {}u;", state_quads(1))));
+        assert_eq!(state_quads(4), state_quads(1) + 3 * 3);
+    }
+
+    #[test]
     fn steps_come_back() {
         for step in [1.0, 0.1, 1.5e-7, 3e12, 1.0 - f64::EPSILON, 1e-36, 1e38] {
             let [mantissa, rest, power] = step_parts(step).map(f64::from);
             let back = (mantissa + rest) * power;
-            assert!((back - step).abs() <= step * libm::exp2(-48.0), "{step}: {back}");
+            assert!((back - step).abs() <= step / 281_474_976_710_656.0, "{step}: {back}");
             assert!((1.0..=2.0).contains(&mantissa));
         }
         assert_eq!(step_parts(1e-300)[2], f32::MIN_POSITIVE);

@@ -69,9 +69,10 @@ struct Job {
     /// The samples to take now; the first pass begins at 0, the last one ends at `frame.samples`.
     first_sample: u32,
     end_sample: u32,
-    /// The first word of its pixels, and the first of its places among the half-made sums.
+    /// The first word of its pixels.
     at_pixels: u32,
-    at_sums: u32,
+    /// The first of its blocks of 8 x 8 pixels, those of the jobs before it counted: see wavefront.wgsl.
+    first_block: u32,
 }
 
 const FEATURE_SHADOWS: u32 = 1u;

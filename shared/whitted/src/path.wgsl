@@ -27,16 +27,15 @@ struct Seen {
 /// Rays traced: primary, shadow, reflection, refraction.
 var<private> counts: vec4<u32>;
 
-/// The waiting rays; the one that was put off last is kept apart, so that a scene with one ray behind another needs no memory for more.
-/// PATH_STACK is their greatest number, see variant.rs.
-var<private> waiting_segments: array<Segment, PATH_STACK>;
+/// The rays that wait to be traced: how many, and the one that was put off last, which is kept apart, so that a scene with one ray behind
+/// another needs no memory for more. `keep_segment(i, segment)` and `kept_segment(i)` are of waiting.wgsl or wavefront.wgsl.
 var<private> waiting_count: u32;
 var<private> next_segment: Segment;
 
 /// Adds a ray unless its weight is too small to be seen; says how many were added.
 fn push_segment(segment: Segment) -> u32 {
     if max_element(segment.weight) < MIN_WEIGHT { return 0u; }
-    if PATH_STACK > 1u && waiting_count > 0u { waiting_segments[waiting_count - 1u] = next_segment; }
+    if PATH_STACK > 1u && waiting_count > 0u { keep_segment(waiting_count - 1u, next_segment); }
     next_segment = segment;
     waiting_count += 1u;
     return 1u;
@@ -46,7 +45,7 @@ fn push_segment(segment: Segment) -> u32 {
 fn pop_segment() -> Segment {
     let segment = next_segment;
     waiting_count -= 1u;
-    if PATH_STACK > 1u && waiting_count > 0u { next_segment = waiting_segments[waiting_count - 1u]; }
+    if PATH_STACK > 1u && waiting_count > 0u { next_segment = kept_segment(waiting_count - 1u); }
     return segment;
 }
 
@@ -55,6 +54,13 @@ fn query_of(segment: Segment) -> Query {
     let t_min = select(below(segment.after_t), segment.after_t, is_start);
     return Query(Ray(segment.origin, t_min, segment.direction, FAR), segment.after_t, segment.after_triangle, LOOK);
 }
+
+/// The ray from the eye, a mirror or glass that is at hand, what is asked along it or of its lights, and what has been seen so far.
+var<private> at_hand: Segment;
+var<private> asked: Query;
+var<private> seen: Seen;
+/// Whether the first surface is all that is to be seen.
+var<private> only_first: bool;
 
 /// What the ray that is at hand met last, while its lights are asked one by one.
 var<private> view_hit: Hit;
@@ -71,63 +77,78 @@ var<private> passed: vec3<f32>;
 var<private> layers_passed: u32;
 
 /// Follows one ray from the eye, and everything behind it; or, of a ray that is to show its first surface only, as far as that.
-fn trace(eye: Ray, only_first: bool) -> Seen {
-    counts.x += 1u;
-    var seen = Seen(vec3<f32>(0.0), 1.0, Hit(FAR, NO_TRIANGLE, 0.0, 0.0));
-    var segment = Segment(eye.origin, 0.0, eye.direction, NO_TRIANGLE, vec3<f32>(1.0), 0u);
-    var query = query_of(segment);
-    waiting_count = 0u;
+fn trace(eye: Ray, shows_first: bool) -> Seen {
+    begin_path(eye, shows_first);
     loop {
-        let hit = search(query, query.kind == OPAQUE);
-        record(query, hit);
-        var asks_lights = false;
-        if query.kind == LOOK {
-            if hit.triangle == NO_TRIANGLE {
-                leave(&seen, segment);
-            } else {
-                view(segment, hit);
-                let is_first = (segment.depth_layers & 255u) == 0u && seen.first.triangle == NO_TRIANGLE && view_alpha > 0.0;
-                if is_first { seen.first = hit; }
-                asks_lights = true;
-            }
-        } else {
-            asks_lights = take_share(&query, hit);
-        }
-        if only_first && (seen.first.triangle != NO_TRIANGLE || hit.triangle == NO_TRIANGLE) { break; }
-
-        // Ask the next light that would be seen, and when all have been asked go on behind the surface.
-        if asks_lights {
-            if !only_first && ask_light(segment, &query) { continue; }
-            seen.color += times3(covered, local_sum);
-            put_off(segment, only_first);
-        } else if query.kind != LOOK {
-            continue;
-        }
-
-        // Take up the ray that was put off last.
-        if waiting_count == 0u { break; }
-        segment = pop_segment();
-        query = query_of(segment);
+        let hit = search(asked, asked.kind == OPAQUE);
+        record(asked, hit);
+        if !step_path(hit) { break; }
     }
     return seen;
 }
 
+/// Asks for the first surface along a ray from the eye.
+fn begin_path(eye: Ray, shows_first: bool) {
+    counts.x += 1u;
+    only_first = shows_first;
+    seen = Seen(vec3<f32>(0.0), 1.0, Hit(FAR, NO_TRIANGLE, 0.0, 0.0));
+    waiting_count = 0u;
+    follow(Segment(eye.origin, 0.0, eye.direction, NO_TRIANGLE, vec3<f32>(1.0), 0u));
+}
+
+fn follow(segment: Segment) {
+    at_hand = segment;
+    asked = query_of(segment);
+}
+
+/// Takes the answer to `asked`, and asks what comes next; false when everything has been `seen`.
+fn step_path(hit: Hit) -> bool {
+    var asks_lights = false;
+    if asked.kind == LOOK {
+        if hit.triangle == NO_TRIANGLE {
+            leave();
+        } else {
+            view(hit);
+            let is_first = (at_hand.depth_layers & 255u) == 0u && seen.first.triangle == NO_TRIANGLE && view_alpha > 0.0;
+            if is_first { seen.first = hit; }
+            asks_lights = true;
+        }
+    } else {
+        asks_lights = take_share(hit);
+    }
+    if only_first && (seen.first.triangle != NO_TRIANGLE || hit.triangle == NO_TRIANGLE) { return false; }
+
+    // Ask the next light that would be seen, and when all have been asked go on behind the surface.
+    if asks_lights {
+        if !only_first && ask_light() { return true; }
+        seen.color += times3(covered, local_sum);
+        put_off();
+    } else if asked.kind != LOOK {
+        return true;
+    }
+
+    // Take up the ray that was put off last.
+    if waiting_count == 0u { return false; }
+    follow(pop_segment());
+    return true;
+}
+
 /// The ray meets nothing: it sees what lies behind everything.
-fn leave(seen: ptr<function, Seen>, segment: Segment) {
-    (*seen).color += times3(segment.weight, radiance(segment.direction));
-    if (segment.depth_layers & 255u) == 0u && backdrop_is_none() {
-        (*seen).alpha = 1.0 - max_element(segment.weight);
+fn leave() {
+    seen.color += times3(at_hand.weight, radiance(at_hand.direction));
+    if (at_hand.depth_layers & 255u) == 0u && backdrop_is_none() {
+        seen.alpha = 1.0 - max_element(at_hand.weight);
     }
 }
 
 /// The ray meets a surface: what it sees there, before any light is asked.
-fn view(segment: Segment, hit: Hit) {
+fn view(hit: Hit) {
     let paint = paint_at(hit);
     view_hit = hit;
-    view_surface = surface_at(hit, segment.direction);
-    view_terms = terms_of(paint, view_surface, segment.direction);
+    view_surface = surface_at(hit, at_hand.direction);
+    view_terms = terms_of(paint, view_surface, at_hand.direction);
     view_alpha = paint.alpha;
-    covered = scaled(segment.weight, paint.alpha);
+    covered = scaled(at_hand.weight, paint.alpha);
     local_sum = view_terms.emissive + times3(view_terms.ambient, scene.ambient);
     let is_lit = any(covered != vec3<f32>(0.0)) && (any(view_terms.diffuse != vec3<f32>(0.0)) || view_terms.f90 != 0.0);
     next_light = select(scene.light_count, 0u, is_lit);
@@ -136,9 +157,9 @@ fn view(segment: Segment, hit: Hit) {
 /// 2^-64: what a light sends back below it is nothing (shade.rs).
 const LEAST_SENT: f32 = 5.42101086e-20;
 
-/// Finds the next light that sends something back if nothing is in its way, and makes `query` ask for its shadow; false when there is none
+/// Finds the next light that sends something back if nothing is in its way, and asks for its shadow; false when there is none
 /// left. Without shadows all of them are added up.
-fn ask_light(segment: Segment, query: ptr<function, Query>) -> bool {
+fn ask_light() -> bool {
     let origin = offset_origin(view_surface, view_surface.facing);
     loop {
         if next_light >= scene.light_count { return false; }
@@ -150,7 +171,7 @@ fn ask_light(segment: Segment, query: ptr<function, Query>) -> bool {
         if !light.arrives || cosine <= 0.0 || dot3(light.direction, view_surface.facing) <= 0.0 { continue; }
 
         // Ask for its shadow only if it would be seen.
-        let share = reflected(view_terms, view_surface, light.direction, segment.direction);
+        let share = reflected(view_terms, view_surface, light.direction, at_hand.direction);
         sent_back = times3(light.irradiance, scaled(share, cosine));
         if max_element(sent_back) < LEAST_SENT { continue; }
         if !has_feature(FEATURE_SHADOWS) {
@@ -160,23 +181,23 @@ fn ask_light(segment: Segment, query: ptr<function, Query>) -> bool {
         counts.y += 1u;
         passed = vec3<f32>(1.0);
         layers_passed = 0u;
-        *query = Query(Ray(origin, clearance(view_surface), light.direction, light.reach), 0.0, NO_TRIANGLE, OPAQUE);
+        asked = Query(Ray(origin, clearance(view_surface), light.direction, light.reach), 0.0, NO_TRIANGLE, OPAQUE);
         return true;
     }
     return false;
 }
 
-/// Takes the answer of a shadow ray. True when the light's share is known and added; else `query` asks for the next layer.
-fn take_share(query: ptr<function, Query>, hit: Hit) -> bool {
+/// Takes the answer of a shadow ray. True when the light's share is known and added; else the next layer is asked for.
+fn take_share(hit: Hit) -> bool {
     let is_hit = hit.triangle != NO_TRIANGLE;
-    if (*query).kind == OPAQUE {
+    if asked.kind == OPAQUE {
         // Nothing opaque is in the way: in most scenes the whole question.
         if is_hit { return true; }
         if !SEES_THROUGH {
             local_sum += sent_back;
             return true;
         }
-        (*query).kind = LAYER;
+        asked.kind = LAYER;
         return false;
     }
     if !is_hit {
@@ -190,26 +211,26 @@ fn take_share(query: ptr<function, Query>, hit: Hit) -> bool {
     passed = times3(passed, through + vec3<f32>(1.0 - paint.alpha));
     layers_passed += 1u;
     if max_element(passed) < MIN_WEIGHT || layers_passed >= MAX_LAYERS { return true; }
-    (*query).after_t = hit.t;
-    (*query).after_triangle = hit.triangle;
-    (*query).ray.t_min = below(hit.t);
+    asked.after_t = hit.t;
+    asked.after_triangle = hit.triangle;
+    asked.ray.t_min = below(hit.t);
     return false;
 }
 
-/// Puts off the rays behind the surface that `segment` has met.
-fn put_off(segment: Segment, only_first: bool) {
-    let direction = segment.direction;
-    let depth = segment.depth_layers & 255u;
-    let layers = segment.depth_layers >> 8u;
+/// Puts off the rays behind the surface that the ray at hand has met.
+fn put_off() {
+    let direction = at_hand.direction;
+    let depth = at_hand.depth_layers & 255u;
+    let layers = at_hand.depth_layers >> 8u;
 
     // Go straight on past the uncovered part and through unbent glass.
     if SEES_THROUGH {
-        var straight = scaled(segment.weight, 1.0 - view_alpha);
+        var straight = scaled(at_hand.weight, 1.0 - view_alpha);
         if !view_terms.is_bent { straight += times3(covered, view_terms.passed); }
         if layers < MAX_LAYERS {
             let after_t = view_hit.t;
             let more = push_segment(
-                Segment(segment.origin, after_t, direction, view_hit.triangle, straight, segment.depth_layers + 256u),
+                Segment(at_hand.origin, after_t, direction, view_hit.triangle, straight, at_hand.depth_layers + 256u),
             );
             if !only_first { counts.w += more; }
         }
@@ -218,7 +239,7 @@ fn put_off(segment: Segment, only_first: bool) {
 
     // Go through bent glass.
     let after_t = clearance(view_surface);
-    let deeper = segment.depth_layers + 1u;
+    let deeper = at_hand.depth_layers + 1u;
     if HAS_GLASS && view_terms.is_bent {
         let origin = offset_origin(view_surface, -view_surface.facing);
         let weight = times3(covered, view_terms.passed);

@@ -1,4 +1,4 @@
-// Sibling of pixel.rs: blocks of pixels, a work-group each.
+// Sibling of pixel.rs: blocks of pixels, a work-group each; or pixels whose samples wavefront.wgsl takes step by step.
 
 /// Words of a pixel: codes; or linear colour, premultiplied, and alpha; or the layers of pixel.rs.
 fn pixel_words(format: u32) -> u32 {
@@ -12,12 +12,36 @@ const GROUP_SIDE: u32 = 8u;
 fn render(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) index: u32) {
     zero = frame.zero;
     let job = jobs[group.y];
-    let columns = (job.width + GROUP_SIDE - 1u) / GROUP_SIDE;
-    // Along a Z-curve, so that any 4, 8, 16 or 32 rays that take their steps together are as near to a square as can be.
-    let local = vec2<u32>(even_bits(index), even_bits(index >> 1u));
-    let at = vec2<u32>(group.x % columns, group.x / columns) * GROUP_SIDE + local;
+    let at = at_in_job(job, group.x, index);
     if at.x >= job.width || at.y >= job.height { return; }
-    render_pixel(job, vec2<u32>(job.x, job.y) + at, at.y * job.width + at.x, group.y);
+    render_pixel(job, at, group.y);
+    if loops_are_cut() { note_cut_loops(); }
+}
+
+/// Whether the driver ends loops before their time: Mesa's software drivers let those of a kernel take 65,535 turns in all, then one each. A
+/// loop that should take three turns shows it.
+fn loops_are_cut() -> bool {
+    var turns = 0u;
+    loop {
+        if turns >= 3u + zero { break; }
+        turns += 1u;
+    }
+    return turns < 3u;
+}
+
+/// Behind the counts of the jobs.
+const CUT_LOOPS: u32 = 1024u;
+
+fn note_cut_loops() {
+    atomicOr(&ray_counts[CUT_LOOPS], 1u);
+}
+
+/// Column and row of a pixel of the job's block `block`: along a Z-curve, so that any 4, 8, 16 or 32 rays that take their steps together
+/// are as near to a square as can be.
+fn at_in_job(job: Job, block: u32, index: u32) -> vec2<u32> {
+    let columns = (job.width + GROUP_SIDE - 1u) / GROUP_SIDE;
+    let local = vec2<u32>(even_bits(index), even_bits(index >> 1u));
+    return vec2<u32>(block % columns, block / columns) * GROUP_SIDE + local;
 }
 
 /// Bits 0, 2 and 4, pushed together.
@@ -25,42 +49,57 @@ fn even_bits(index: u32) -> u32 {
     return (index & 1u) | ((index >> 1u) & 2u) | ((index >> 2u) & 4u);
 }
 
-fn render_pixel(job: Job, pixel: vec2<u32>, place: u32, job_index: u32) {
+fn render_pixel(job: Job, at: vec2<u32>, job_index: u32) {
     counts = vec4<u32>(0u);
-    let camera = LocalCamera(frame.eye, frame.forward, frame.right, frame.up);
-    let size = vec2<f32>(f32(frame.width), f32(frame.height));
-    let corner = vec2<f32>(pixel);
-    let of_layers = frame.format == FORMAT_LAYERS;
-    var sum = Seen(vec3<f32>(0.0), 0.0, Hit(FAR, NO_TRIANGLE, 0.0, 0.0));
-    if job.first_sample > 0u { sum = load_sum(job.at_sums + place); }
+    let pixel = vec2<u32>(job.x, job.y) + at;
+    let place = at.y * job.width + at.x;
     let seed = pixel_seed(frame.seed_low, frame.seed_high, pixel.x, pixel.y);
-    let is_last = job.end_sample == frame.samples;
-
-    // Add the samples up in their order. One goes through the centre; of many one more does, to find the surface that the layers show.
-    var end = job.end_sample;
-    if is_last && of_layers && frame.samples > 1u { end += 1u; }
+    var sum = no_sum();
+    if job.first_sample > 0u { sum = load_sum(place); }
+    let end = end_sample(job);
     for (var i = job.first_sample; i < end; i++) {
-        let only_first = i == frame.samples;
-        let offset = select(offset_in_pixel(i, frame.samples, seed), vec2<f32>(0.5), only_first);
-        let seen = trace(camera_ray(camera, corner + offset, size), only_first);
-        if !only_first {
-            sum.color += seen.color;
-            sum.alpha += seen.alpha;
-        }
-        sum.first = seen.first;
-    }
-    if !is_last {
-        store_sum(job.at_sums + place, sum);
-        add_counts(job_index);
-        return;
-    }
-    if frame.samples > 1u {
-        let share = quotient(1.0, f32(frame.samples));
-        sum.color *= share;
-        sum.alpha *= share;
+        let seen = trace(sample_ray(pixel, seed, i), i == frame.samples);
+        sum = add_sample(sum, seen, i);
     }
     add_counts(job_index);
-    write_pixel(job.at_pixels + place * pixel_words(frame.format), sum);
+    if job.end_sample == frame.samples {
+        write_pixel(job.at_pixels + place * pixel_words(frame.format), mean(sum));
+    } else {
+        store_sum(place, sum);
+    }
+}
+
+fn no_sum() -> Seen {
+    return Seen(vec3<f32>(0.0), 0.0, Hit(FAR, NO_TRIANGLE, 0.0, 0.0));
+}
+
+/// The sample behind the last one to take. One goes through the centre; of many one more does, to find the surface that the layers show.
+fn end_sample(job: Job) -> u32 {
+    let is_last = job.end_sample == frame.samples;
+    return job.end_sample + select(0u, 1u, is_last && frame.format == FORMAT_LAYERS && frame.samples > 1u);
+}
+
+/// The ray of sample `i`.
+fn sample_ray(pixel: vec2<u32>, seed: u32, i: u32) -> Ray {
+    let camera = LocalCamera(frame.eye, frame.forward, frame.right, frame.up);
+    let size = vec2<f32>(f32(frame.width), f32(frame.height));
+    // (Only samples below the count have a place: of another one the search for it need not end.)
+    var offset = vec2<f32>(0.5);
+    if i < frame.samples { offset = offset_in_pixel(i, frame.samples, seed); }
+    return camera_ray(camera, vec2<f32>(pixel) + offset, size);
+}
+
+/// The sum with sample `i`; samples are added up in their order.
+fn add_sample(sum: Seen, sample: Seen, i: u32) -> Seen {
+    if i == frame.samples { return Seen(sum.color, sum.alpha, sample.first); }
+    return Seen(sum.color + sample.color, sum.alpha + sample.alpha, sample.first);
+}
+
+/// What the samples of a pixel have seen on the average.
+fn mean(sum: Seen) -> Seen {
+    if frame.samples <= 1u { return sum; }
+    let share = quotient(1.0, f32(frame.samples));
+    return Seen(sum.color * share, sum.alpha * share, sum.first);
 }
 
 fn write_pixel(at: u32, seen: Seen) {

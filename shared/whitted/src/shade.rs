@@ -84,7 +84,7 @@ pub(crate) const MAX_EXPONENT: f32 = 1024.0;
 /// 2^-64: what a light sends back below it is nothing, and its shadow is not asked for. No pixel shows it; and a far highlight that a
 /// device without subnormal numbers takes for 0 (below 2^-126, before a factor of at most 42 and an irradiance of less than 2^50) is below it
 /// too, so that CPU and GPU ask the same lights.
-const LEAST_SENT: f32 = 1.0 / (1u128 << 64) as f32;
+pub(crate) const LEAST_SENT: f32 = 1.0 / (1u128 << 64) as f32;
 
 /// The terms of `paint` on `surface`, met by a ray along `direction`.
 pub(crate) fn terms(paint: &Paint, surface: &Surface, direction: Vec3, features: Features) -> Terms {

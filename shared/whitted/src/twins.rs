@@ -46,15 +46,16 @@ pub fn layouts() -> [Layout; 4] {
             eye width forward height right samples up max_depth seed_low seed_high features format zero,
             gaps reserved),
         layout!(Job, "Job",
-            x y width height first_sample end_sample at_pixels at_sums, gaps),
+            x y width height first_sample end_sample at_pixels first_block, gaps),
     ]
 }
 
 /// Constants of the text and the bits that they must have.
-pub fn constants() -> [(&'static str, u32); 12] {
+pub fn constants() -> [(&'static str, u32); 13] {
     [
         ("MIN_WEIGHT", path::MIN_WEIGHT.to_bits()),
         ("MAX_LAYERS", path::MAX_LAYERS),
+        ("LEAST_SENT", shade::LEAST_SENT.to_bits()),
         ("MAX_IRRADIANCE", light::MAX_IRRADIANCE.to_bits()),
         ("GAMMA_3", gamma(3).to_bits()),
         ("POINT_ERROR", gamma(7).to_bits()),

@@ -125,6 +125,8 @@ pub(crate) enum Engine {
 /// A GPU and the scene that it holds.
 pub(crate) struct GpuEngine {
     gpu: Gpu,
+    /// With the form that was the fastest.
+    options: GpuOptions,
     scene: Mutex<Option<Arc<GpuScene>>>,
 }
 
@@ -299,7 +301,7 @@ impl GpuEngine {
         }
         // What was held makes room first.
         *held = None;
-        let scene = Arc::new(GpuScene::load(&self.gpu, pack, GpuOptions::default())?);
+        let scene = Arc::new(GpuScene::load(&self.gpu, pack, self.options)?);
         // Now, and not while the first tile is waited for.
         scene.warm_up()?;
         *held = Some(scene.clone());
@@ -309,11 +311,11 @@ impl GpuEngine {
 
 fn open_gpu(wanted: Option<&str>) -> Result<(GpuEngine, u64), BackendError> {
     let gpu = Gpu::open(wanted, GpuOptions::default().f64)?;
-    let speed = calibrate::gpu(&gpu).map_err(|error| BackendError::Unusable {
+    let (options, speed) = calibrate::gpu(&gpu).map_err(|error| BackendError::Unusable {
         name: gpu.adapter().name.clone(),
         reason: error.to_string(),
     })?;
-    Ok((GpuEngine { gpu, scene: Mutex::new(None) }, speed))
+    Ok((GpuEngine { gpu, options, scene: Mutex::new(None) }, speed))
 }
 
 fn described(gpu: &Gpu) -> String {

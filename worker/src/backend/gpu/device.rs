@@ -1,11 +1,13 @@
 //! An opened GPU: its limits, its errors, and how it is lost.
 
+use super::kernel::{Kernel, KernelKey, compile};
 use super::{GpuError, KERNEL_VERSION, adapter};
 use crate::backend::{Adapter, BackendError};
 use pollster::block_on;
+use std::collections::HashMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use wgpu::{
     Device, DeviceDescriptor, ErrorFilter, Features, Limits, PollError, PollType, Queue, SubmissionIndex,
 };
@@ -26,6 +28,8 @@ struct Inner {
     class: String,
     /// The first thing that went wrong.
     fault: Arc<Mutex<Option<String>>>,
+    /// Kernels that were compiled, for scenes of every kind.
+    kernels: Mutex<HashMap<KernelKey, Arc<Kernel>>>,
 }
 
 impl fmt::Debug for Gpu {
@@ -64,7 +68,18 @@ impl Gpu {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&seen, one_line(&error))));
         let precision = if uses_f64 { "f64" } else { "f32" };
         let class = format!("gpu-{KERNEL_VERSION} {} ({}, {precision})", adapter.name, adapter.driver);
-        Ok(Self { inner: Arc::new(Inner { device, queue, adapter, limits, uses_f64, class, fault }) })
+        Ok(Self {
+            inner: Arc::new(Inner {
+                device,
+                queue,
+                adapter,
+                limits,
+                uses_f64,
+                class,
+                fault,
+                kernels: Mutex::default(),
+            }),
+        })
     }
 
     pub(crate) fn device(&self) -> &Device {
@@ -73,6 +88,20 @@ impl Gpu {
 
     pub(crate) fn queue(&self) -> &Queue {
         &self.inner.queue
+    }
+
+    /// The kernel of `key`, compiled the first time.
+    pub(super) fn kernel(&self, key: KernelKey) -> Result<Arc<Kernel>, GpuError> {
+        let mut kernels = self.inner.kernels.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(kernel) = kernels.get(&key) {
+            return Ok(kernel.clone());
+        }
+        let begun = Instant::now();
+        let kernel = Arc::new(compile(self, &key)?);
+        let (name, purpose) = (key.variant.name(), key.purpose);
+        tracing::debug!("compiled the kernel {name} ({purpose:?}) in {:.1?}", begun.elapsed());
+        kernels.insert(key, kernel.clone());
+        Ok(kernel)
     }
 
     /// What it is.

@@ -17,10 +17,26 @@ use wgpu::{
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum TraversalForm {
     /// A stack as deep as a tree may be, for every ray: simple, the oracle of the other.
-    #[default]
     PrivateStack,
     /// A few entries and a trail of bits; what was forgotten is found again from the root.
     ShortStack,
+    /// The same stack as the first, but paths are taken step by step, all rays of a kind together. Single rays are as with the first.
+    #[default]
+    Wavefront,
+}
+
+impl TraversalForm {
+    /// All forms.
+    pub const ALL: [Self; 3] = [Self::PrivateStack, Self::ShortStack, Self::Wavefront];
+
+    /// For people and reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::PrivateStack => "private-stack",
+            Self::ShortStack => "short-stack",
+            Self::Wavefront => "wavefront",
+        }
+    }
 }
 
 /// How kernels are made; every choice gives the same answers, but for `f64`.
@@ -84,6 +100,22 @@ pub(super) enum Purpose {
     Probe,
     /// Given rays.
     Rays,
+    /// A step of many paths: see wavefront.rs.
+    Wave(Stage),
+}
+
+/// The kernels of wavefront.wgsl.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Stage {
+    Start,
+    Turn,
+    Extend,
+    Shade,
+}
+
+impl Stage {
+    /// All of them, in the order in which they run.
+    pub(super) const ALL: [Self; 4] = [Self::Start, Self::Turn, Self::Extend, Self::Shade];
 }
 
 impl Purpose {
@@ -92,6 +124,10 @@ impl Purpose {
             Self::Render => "render",
             Self::Probe => "probe",
             Self::Rays => "trace_rays",
+            Self::Wave(Stage::Start) => "wave_start",
+            Self::Wave(Stage::Turn) => "wave_turn",
+            Self::Wave(Stage::Extend) => "wave_extend",
+            Self::Wave(Stage::Shade) => "wave_shade",
         }
     }
 }
@@ -113,19 +149,31 @@ pub(super) fn text(key: &KernelKey) -> String {
     split(&mut text, ("word", "u32"), SLOT_BINDING + slot_bindings, word_bindings, words_log2);
     text = text.replace("fn slot(", "fn slot_at(");
     text += match key.purpose {
-        Purpose::Render => "fn record(query: Query, hit: Hit) {}\n",
+        Purpose::Render | Purpose::Wave(_) => "fn record(query: Query, hit: Hit) {}\n",
         Purpose::Probe | Purpose::Rays => include_str!("probe.wgsl"),
     };
-    let end = key.chunks.end();
-    text = text.replace("PROBE_INPUT", &end.to_string()).replace("PROBE_OUTPUT", &(end + 1).to_string());
     let precision = if key.f64 { geometry::F64 } else { geometry::F32 };
     let stack = match key.form {
-        TraversalForm::PrivateStack => kdtree::PRIVATE_STACK,
+        TraversalForm::PrivateStack | TraversalForm::Wavefront => kdtree::PRIVATE_STACK,
         TraversalForm::ShortStack => kdtree::SHORT_STACK,
     };
-    let rooms = geometry::COMMON.iter().chain(&precision).chain(&kdtree::COMMON).chain([&stack]);
+    let waiting = match key.purpose {
+        Purpose::Wave(_) | Purpose::Probe | Purpose::Rays => whitted::WAVEFRONT,
+        Purpose::Render => whitted::WAITING,
+    };
+    let rooms = geometry::COMMON.iter().chain(&precision).chain(&kdtree::COMMON).chain([&stack, &waiting]);
     for file in rooms.chain(&tessera_pack::device::WGSL).chain(&whitted::WGSL) {
         text += file;
+    }
+    // What a purpose has of its own comes after the scene.
+    let waves = ["WAVE_STATES", "WAVE_QUEUES", "WAVE_GROUPS"];
+    let probes = ["PROBE_INPUT", "PROBE_OUTPUT"];
+    let own: Vec<&str> = match key.purpose {
+        Purpose::Wave(_) => waves.to_vec(),
+        Purpose::Render | Purpose::Probe | Purpose::Rays => probes.into_iter().chain(waves).collect(),
+    };
+    for (name, binding) in own.iter().zip(key.chunks.end()..) {
+        text = text.replace(name, &binding.to_string());
     }
     text
 }
@@ -153,17 +201,25 @@ fn split(text: &mut String, (name, element): (&str, &str), first: u32, count: u3
     let _ = writeln!(text, "}}");
 }
 
-/// What each binding is, from 0 on.
-pub(super) fn binding_types(chunks: Chunks, purpose: Purpose) -> Vec<BufferBindingType> {
+/// What each binding is, by number.
+pub(super) fn binding_types(chunks: Chunks, purpose: Purpose) -> Vec<(u32, BufferBindingType)> {
     let uniform = BufferBindingType::Uniform;
     let read = BufferBindingType::Storage { read_only: true };
     let write = BufferBindingType::Storage { read_only: false };
-    let mut types = vec![uniform, uniform, read, write, write, write];
-    types.extend((SLOT_BINDING..chunks.end()).map(|_| read));
-    if purpose != Purpose::Render {
-        types.extend([read, write]);
+    let end = chunks.end();
+    // A binding that a dispatch takes its size from cannot be written by a kernel that has it bound: only this one has.
+    if purpose == Purpose::Wave(Stage::Turn) {
+        return vec![(end + 1, write), (end + 2, write)];
     }
-    types
+    let mut types = vec![uniform, uniform, read, write, write, write];
+    types.extend((SLOT_BINDING..end).map(|_| read));
+    match purpose {
+        Purpose::Render => {}
+        Purpose::Probe => types.extend([read, write, write, write]),
+        Purpose::Rays => types.extend([read, write]),
+        Purpose::Wave(_) => types.extend([write, write]),
+    }
+    (0..).zip(types).collect()
 }
 
 /// The layout of the one bind group.
@@ -174,22 +230,25 @@ pub(super) fn bind_group_layout(gpu: &Gpu, chunks: Chunks, purpose: Purpose) -> 
         ty: BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
         count: None,
     };
-    let entries: Vec<_> = (0..).zip(binding_types(chunks, purpose)).map(entry).collect();
+    let entries: Vec<_> = binding_types(chunks, purpose).into_iter().map(entry).collect();
     let descriptor = BindGroupLayoutDescriptor { label: None, entries: &entries };
     gpu.device().create_bind_group_layout(&descriptor)
 }
 
+/// A compiled kernel and the layout of what it reads.
+pub(super) struct Kernel {
+    pub(super) pipeline: ComputePipeline,
+    pub(super) layout: BindGroupLayout,
+}
+
 /// Compiles a kernel.
-pub(super) fn compile(
-    gpu: &Gpu,
-    key: &KernelKey,
-    layout: &BindGroupLayout,
-) -> Result<ComputePipeline, GpuError> {
+pub(super) fn compile(gpu: &Gpu, key: &KernelKey) -> Result<Kernel, GpuError> {
     let text = text(key);
-    gpu.try_make(|| {
+    let layout = gpu.try_make(|| bind_group_layout(gpu, key.chunks, key.purpose))?;
+    let pipeline = gpu.try_make(|| {
         let source = ShaderSource::Wgsl(Cow::Owned(text));
         let module = shader_module(gpu, ShaderModuleDescriptor { label: Some(key.purpose.entry()), source });
-        let layouts = [Some(layout)];
+        let layouts = [Some(&layout)];
         let layout = gpu.device().create_pipeline_layout(&PipelineLayoutDescriptor {
             label: None,
             bind_group_layouts: &layouts,
@@ -206,7 +265,8 @@ pub(super) fn compile(
             },
             cache: None,
         })
-    })
+    })?;
+    Ok(Kernel { pipeline, layout })
 }
 
 /// A module without checks at run time, which cost a third of the time and more.
@@ -214,7 +274,8 @@ pub(super) fn compile(
 fn shader_module(gpu: &Gpu, descriptor: ShaderModuleDescriptor<'_>) -> wgpu::ShaderModule {
     // SAFETY: the kernels read a pack's sections at places that come from the pack alone, which `Pack::check` has held to their sections;
     // write pixels, sums and counts at places that `tiles.rs` and `probe.rs` have sized their buffers for; and keep stacks within the
-    // bounds that hold for a valid tree (`MAX_DEPTH`) and a path (`Variant::path_stack`). Loops run over lists, levels, layers and
-    // waiting rays, each of which is bounded. No divisor of an integer is 0.
+    // bounds that hold for a valid tree (`MAX_DEPTH`) and a path (`Variant::path_stack`); states and queues are of the size that
+    // `wavefront.rs` tells the kernels, which queue each state once. Loops run over lists, levels, layers, waiting rays and jobs, each
+    // of which is bounded. No divisor of an integer is 0.
     unsafe { gpu.device().create_shader_module_trusted(descriptor, ShaderRuntimeChecks::unchecked()) }
 }

@@ -7,7 +7,9 @@
 //! | `kernel.rs` | the kernels' text and what is compiled of it |
 //! | `scene.rs` | a pack in its memory |
 //! | `pass.rs` | tiles cut into pieces of bounded work; pure |
+//! | `slot.rs` | the buffers of one submission |
 //! | `tiles.rs` | tiles on their way: submitted, awaited, read back |
+//! | `wavefront.rs` | the same paths step by step, all rays of a kind together |
 //! | `probe.rs` | single rays and paths, for tests and tools |
 //! | `policy.rs` | whether tests need a GPU |
 //!
@@ -22,7 +24,9 @@ mod pass;
 mod policy;
 pub mod probe;
 mod scene;
+mod slot;
 pub(crate) mod tiles;
+mod wavefront;
 
 pub(crate) use device::Gpu;
 pub use kernel::{GpuOptions, TraversalForm};
@@ -54,6 +58,12 @@ pub enum GpuError {
         /// So long.
         seconds: u64,
     },
+    /// The driver has ended loops of a kernel early.
+    #[error(
+        "the GPU's driver ends long loops early, so that pictures would be wrong: Mesa's software drivers let a kernel's loops take 65,535 \
+         turns; use --backend cpu"
+    )]
+    LoopsCut,
     /// The driver refused something that should work.
     #[error("the GPU's driver refuses: {0}")]
     Refused(String),

@@ -1,7 +1,9 @@
 //! Single rays, and the rays behind single pixels, on a GPU: for tests that hold it to the CPU, and for tools.
 
-use super::kernel::Purpose;
-use super::tiles::{Tiles, make_buffer};
+use super::kernel::{Kernel, Purpose};
+use super::slot::{COUNT_BYTES, make_buffer};
+use super::tiles::Tiles;
+use super::wavefront::HEAD_BYTES;
 use super::{Gpu, GpuError, GpuOptions, GpuScene};
 use crate::backend::{Adapter, BackendError};
 use bytemuck::{bytes_of, cast_slice};
@@ -10,8 +12,8 @@ use std::time::Duration;
 use tessera_geometry::{Hit, Ray, Vec3};
 use tessera_pack::Pack;
 use tessera_whitted::FrameParams;
-use tessera_whitted::device::FrameInfo;
-use wgpu::{Buffer, BufferUsages, MapMode};
+use tessera_whitted::device::{FrameInfo, state_quads};
+use wgpu::{BindGroup, Buffer, BufferUsages, MapMode};
 
 /// An opened GPU that answers for single rays.
 #[derive(Clone, Debug)]
@@ -38,6 +40,12 @@ pub struct ProbedPath {
 
 /// Words of a recorded ray.
 pub(super) const PROBE_WORDS: usize = 12;
+
+/// What a path's third word says behind its last step (probe.wgsl).
+pub(super) const PATH_ENDED: u32 = 2;
+
+/// Steps between two looks whether all paths have ended.
+const STEPS: u32 = 32;
 
 /// Bytes of one submission's input and output.
 const BYTES_MAX: usize = 64 << 20;
@@ -78,14 +86,10 @@ impl ProbedScene {
                 let [dx, dy, dz] = ray.direction.to_array();
                 input.extend([ox, oy, oz, ray.t_min, dx, dy, dz, finite(ray.t_max)].map(f32::to_bits));
             }
-            let output = self.run(
-                Purpose::Rays,
-                0,
-                &bytemuck::Zeroable::zeroed(),
-                &input,
-                rays.len(),
-                rays.len() * 4,
-            )?;
+            let info = bytemuck::Zeroable::zeroed();
+            let words = rays.len() * 4;
+            let run = Run::new(&self.scene, (Purpose::Rays, 0), &info, &input, rays.len(), (words, 0))?;
+            let output = run.dispatch(1)?;
             hits.extend(output.chunks_exact(4).map(|words| {
                 let [t, b1, b2] = [words[0], words[2], words[3]].map(f32::from_bits);
                 (words[1] != Hit::NO_TRIANGLE).then_some(Hit { t, triangle: words[1], b1, b2 })
@@ -102,20 +106,34 @@ impl ProbedScene {
         sample: u32,
         record: u32,
     ) -> Result<Vec<ProbedPath>, GpuError> {
-        let words = 2 + PROBE_WORDS * record as usize;
+        let words = 3 + PROBE_WORDS * record as usize;
+        let depth = params.max_depth.min(FrameParams::MAX_DEPTH);
+        let state_bytes = 16 * state_quads(self.scene.path_stack(depth)) as usize;
+        let most = (BYTES_MAX / 4 / words).min(BYTES_MAX / state_bytes).max(1);
         let mut paths = Vec::with_capacity(pixels.len());
-        for pixels in pixels.chunks((BYTES_MAX / 4 / words).max(1)) {
+        for pixels in pixels.chunks(most) {
             let mut input = vec![pixels.len() as u32, record, sample];
             input.extend(pixels.iter().flat_map(|&(x, y)| [x, y]));
             let info = FrameInfo::of(params);
-            let depth = params.max_depth.min(FrameParams::MAX_DEPTH);
-            let output =
-                self.run(Purpose::Probe, depth, &info, &input, pixels.len(), pixels.len() * words)?;
+            let run = Run::new(
+                &self.scene,
+                (Purpose::Probe, depth),
+                &info,
+                &input,
+                pixels.len(),
+                (pixels.len() * words, pixels.len() * state_bytes),
+            )?;
+            let output = loop {
+                let output = run.dispatch(STEPS)?;
+                if output.chunks_exact(words).all(|path| path[2] == PATH_ENDED) {
+                    break output;
+                }
+            };
             paths.extend(output.chunks_exact(words).map(|words| {
                 ProbedPath {
                     rays: words[0],
                     signature: words[1],
-                    recorded: words[2..]
+                    recorded: words[3..]
                         .chunks_exact(PROBE_WORDS)
                         .take(words[0] as usize)
                         .map(|words| std::array::from_fn(|i| words[i]))
@@ -126,58 +144,109 @@ impl ProbedScene {
         Ok(paths)
     }
 
-    /// A whole frame, in its wire format, as a worker renders it.
+    /// A whole frame, in its wire format, tile by tile as a worker renders it.
     pub fn frame(&self, frame: &tessera_wire::Frame) -> Result<(Vec<u8>, tessera_wire::Rays), GpuError> {
-        let rect = tessera_wire::Rect { x: 0, y: 0, width: frame.width, height: frame.height };
-        let (tile, attempt) = (tessera_wire::TileId(0), tessera_wire::Attempt(0));
+        let tessera_wire::Frame { width, height, tile: side, .. } = *frame;
+        let side = side.max(1);
         let mut tiles = Tiles::new(self.scene.clone())?;
-        tiles.push(crate::session::RenderTask { frame: *frame, tile, attempt, rect });
-        loop {
-            if let Some(done) = tiles.turn()?.pop() {
-                return Ok((done.pixels, done.rays));
+        let corners = (0..height.div_ceil(side)).flat_map(|y| (0..width.div_ceil(side)).map(move |x| (x, y)));
+        for ((x, y), number) in corners.zip(0..) {
+            let (x, y) = (x * side, y * side);
+            let rect = tessera_wire::Rect { x, y, width: side.min(width - x), height: side.min(height - y) };
+            let (tile, attempt) = (tessera_wire::TileId(number), tessera_wire::Attempt(0));
+            tiles.push(crate::session::RenderTask { frame: *frame, tile, attempt, rect });
+        }
+        let mut rays = tessera_wire::Rays::default();
+        let mut pixels = Vec::new();
+        while !tiles.is_idle() {
+            for done in tiles.turn()? {
+                rays += done.rays;
+                let tessera_wire::Rect { x, y, width: columns, height: rows } = done.task.rect;
+                let row_bytes = done.pixels.len() / rows as usize;
+                let pixel_bytes = row_bytes / columns as usize;
+                pixels.resize((width * height) as usize * pixel_bytes, 0);
+                for (row, from) in (y..).zip(done.pixels.chunks_exact(row_bytes)) {
+                    let at = (row * width + x) as usize * pixel_bytes;
+                    pixels[at..][..row_bytes].copy_from_slice(from);
+                }
             }
         }
+        Ok((pixels, rays))
     }
+}
 
-    /// Runs a kernel over `count` items with `input`, and returns `words` of output.
-    fn run(
-        &self,
-        purpose: Purpose,
-        depth: u32,
+/// A kernel over some items, with its buffers.
+struct Run<'a> {
+    scene: &'a GpuScene,
+    kernel: Arc<Kernel>,
+    bind_group: BindGroup,
+    output: Buffer,
+    readback: Buffer,
+    items: usize,
+    words: usize,
+}
+
+impl<'a> Run<'a> {
+    /// A kernel over `items` with `input`, `words` of output and so many bytes of states.
+    fn new(
+        scene: &'a GpuScene,
+        (purpose, depth): (Purpose, u32),
         info: &FrameInfo,
         input: &[u32],
-        count: usize,
-        words: usize,
-    ) -> Result<Vec<u32>, GpuError> {
-        let GpuScene { gpu, .. } = &*self.scene;
-        let kernel = self.scene.kernel(depth, purpose)?;
+        items: usize,
+        (words, state_bytes): (usize, usize),
+    ) -> Result<Self, GpuError> {
+        let kernel = scene.kernel(depth, purpose)?;
         let storage = BufferUsages::STORAGE | BufferUsages::COPY_DST | BufferUsages::COPY_SRC;
-        let make = |label, bytes: usize, usage| make_buffer(&self.scene, label, bytes.max(32) as u64, usage);
+        let make = |label, bytes: usize, usage| make_buffer(scene, label, bytes.max(32) as u64, usage);
         let frame = make("frame", size_of::<FrameInfo>(), BufferUsages::UNIFORM | BufferUsages::COPY_DST)?;
-        let [jobs, pixels, sums, counts]: [Result<Buffer, GpuError>; 4] =
+        let [jobs, pixels, sums]: [Result<Buffer, GpuError>; 3] =
             std::array::from_fn(|_| make("unused", 32, storage));
+        let counts = make("counts", COUNT_BYTES as usize, storage)?;
         let from = make("input", input.len() * 4, storage)?;
-        let to = make("output", words * 4, storage)?;
-        let readback = make("readback", words * 4, BufferUsages::MAP_READ | BufferUsages::COPY_DST)?;
-        gpu.queue().write_buffer(&frame, 0, bytes_of(info));
-        gpu.queue().write_buffer(&from, 0, cast_slice(input));
-        let own = [&frame, &jobs?, &pixels?, &sums?, &counts?];
-        let bind_group = self.scene.bind_group(&kernel, own, &[&from, &to]);
+        // One word more, which says that loops were cut.
+        let bytes = words * 4 + 4;
+        let output = make_buffer(scene, "output", bytes as u64, storage)?;
+        let readback = make("readback", bytes, BufferUsages::MAP_READ | BufferUsages::COPY_DST)?;
+        let states = make("states", state_bytes, storage)?;
+        let waves = make("waves", HEAD_BYTES as usize + 16, storage)?;
+        scene.gpu.queue().write_buffer(&frame, 0, bytes_of(info));
+        scene.gpu.queue().write_buffer(&from, 0, cast_slice(input));
+        scene.gpu.queue().write_buffer(&waves, 0, bytes_of(&(items as u32)));
+        let own = [&frame, &jobs?, &pixels?, &sums?, &counts];
+        let extra = [&from, &output, &states, &waves];
+        let extra = if purpose == Purpose::Probe { &extra[..] } else { &extra[..2] };
+        let bind_group = scene.bind_group(&kernel, own, extra);
+        Ok(Self { scene, kernel, bind_group, output, readback, items, words })
+    }
+
+    /// Runs it so many times, and returns the output.
+    fn dispatch(&self, times: u32) -> Result<Vec<u32>, GpuError> {
+        let gpu = &self.scene.gpu;
         let mut encoder = gpu.device().create_command_encoder(&Default::default());
         {
             let mut pass = encoder.begin_compute_pass(&Default::default());
-            pass.set_pipeline(&kernel.pipeline);
-            pass.set_bind_group(0, &bind_group, &[]);
-            pass.dispatch_workgroups(count.div_ceil(64) as u32, 1, 1);
+            pass.set_pipeline(&self.kernel.pipeline);
+            pass.set_bind_group(0, &self.bind_group, &[]);
+            for _ in 0..times {
+                pass.dispatch_workgroups(self.items.div_ceil(64) as u32, 1, 1);
+            }
         }
-        let bytes = words as u64 * 4;
-        encoder.copy_buffer_to_buffer(&to, 0, &readback, 0, bytes);
+        let bytes = self.words as u64 * 4 + 4;
+        encoder.copy_buffer_to_buffer(&self.output, 0, &self.readback, 0, bytes);
         let submission = gpu.queue().submit([encoder.finish()]);
-        readback.map_async(MapMode::Read, ..bytes, |_| ());
+        self.readback.map_async(MapMode::Read, ..bytes, |_| ());
         gpu.wait(submission, PATIENCE)?;
-        let range = readback.get_mapped_range(..bytes);
-        let range = range.map_err(|e| GpuError::Lost(format!("its memory cannot be read: {e}")))?;
-        Ok(cast_slice(&range).to_vec())
+        let mut words: Vec<u32> = {
+            let range = self.readback.get_mapped_range(..bytes);
+            let range = range.map_err(|e| GpuError::Lost(format!("its memory cannot be read: {e}")))?;
+            cast_slice(&range).to_vec()
+        };
+        self.readback.unmap();
+        match words.pop() {
+            Some(0) => Ok(words),
+            _ => Err(GpuError::LoopsCut),
+        }
     }
 }
 

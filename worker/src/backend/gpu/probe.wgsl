@@ -42,25 +42,51 @@ fn record(query: Query, hit: Hit) {
     probe_left -= 1u;
 }
 
-/// Input: pixels, rays to record of each, sample; then x and y of each pixel. Output for each: rays, hash, the rays.
+/// A path before its first step, between two, and behind its last one.
+const PATH_NEW: u32 = 0u;
+const PATH_UNDER_WAY: u32 = 1u;
+const PATH_ENDED: u32 = 2u;
+
+/// Takes a step of each path. Input: pixels, rays to record of each, sample; then x and y of each pixel. Output for each: rays, hash, how far
+/// it is, the rays. Between the steps a path is kept as in wavefront.wgsl: all steps of a long one would be too many loops for some drivers.
 @compute @workgroup_size(64)
 fn probe(@builtin(global_invocation_id) id: vec3<u32>) {
     zero = frame.zero;
     if id.x >= probe_input[0] { return; }
     let kept = probe_input[1];
     let sample = probe_input[2];
-    let pixel = vec2<u32>(probe_input[3u + 2u * id.x], probe_input[4u + 2u * id.x]);
-    let start = id.x * (2u + PROBE_WORDS * kept);
-    probe_at = start + 2u;
-    probe_left = kept;
-    probe_count = 0u;
-    probe_hash = 0x811c9dc5u;
-    let camera = LocalCamera(frame.eye, frame.forward, frame.right, frame.up);
-    let size = vec2<f32>(f32(frame.width), f32(frame.height));
-    let seed = pixel_seed(frame.seed_low, frame.seed_high, pixel.x, pixel.y);
-    let seen = trace(camera_ray(camera, vec2<f32>(pixel) + offset_in_pixel(sample, frame.samples, seed), size), false);
+    let start = id.x * (3u + PROBE_WORDS * kept);
+    let phase = probe_output[start + 2u];
+    if phase == PATH_ENDED { return; }
+    state = id.x;
+    if phase == PATH_NEW {
+        probe_count = 0u;
+        probe_hash = 0x811c9dc5u;
+        counts = vec4<u32>(0u);
+        let pixel = vec2<u32>(probe_input[3u + 2u * id.x], probe_input[4u + 2u * id.x]);
+        let seed = pixel_seed(frame.seed_low, frame.seed_high, pixel.x, pixel.y);
+        begin_path(sample_ray(pixel, seed, sample), false);
+        store_path(sample, LOOK);
+    } else {
+        probe_count = probe_output[start];
+        probe_hash = probe_output[start + 1u];
+        load_asked();
+        load_path();
+    }
+    probe_at = start + 3u + PROBE_WORDS * min(probe_count, kept);
+    probe_left = kept - min(probe_count, kept);
+    let kind = asked.kind;
+    let hit = search(asked, kind == OPAQUE);
+    record(asked, hit);
+    let goes_on = step_path(hit);
+    if goes_on {
+        store_asked(id.x);
+        store_path(sample, kind);
+    }
     probe_output[start] = probe_count;
     probe_output[start + 1u] = probe_hash;
+    probe_output[start + 2u] = select(PATH_ENDED, PATH_UNDER_WAY, goes_on);
+    if loops_are_cut() { probe_output[arrayLength(&probe_output) - 1u] = 1u; }
     // What is seen must not be optimised away with the rays behind it.
     if seen.alpha < -1.0 { pixels[0] = bitcast<u32>(seen.color.x); }
 }
@@ -82,4 +108,5 @@ fn trace_rays(@builtin(global_invocation_id) id: vec3<u32>) {
     probe_output[4u * id.x + 1u] = hit.triangle;
     probe_output[4u * id.x + 2u] = bitcast<u32>(hit.b1);
     probe_output[4u * id.x + 3u] = bitcast<u32>(hit.b2);
+    if loops_are_cut() { probe_output[arrayLength(&probe_output) - 1u] = 1u; }
 }

@@ -1,17 +1,18 @@
 //! A pack in a GPU's memory, and the kernels that were compiled for it.
 
-use super::kernel::{Chunks, GpuOptions, KernelKey, Purpose, bind_group_layout, compile};
-use super::{Gpu, GpuError};
+use super::kernel::TraversalForm;
+use super::kernel::{Chunks, GpuOptions, Kernel, KernelKey, Purpose, Stage};
+use super::wavefront::STATE_BYTES;
+use super::{Gpu, GpuError, tiles};
 use bytemuck::bytes_of;
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Instant;
 use tessera_pack::Pack;
 use tessera_pack::device::DeviceWords;
-use tessera_whitted::device::{SceneInfo, code_thresholds};
 use tessera_whitted::FrameParams;
+use tessera_whitted::device::{SceneInfo, code_thresholds};
 use tessera_whitted::variant::Variant;
-use wgpu::{BindGroupLayout, Buffer, BufferDescriptor, BufferUsages, ComputePipeline};
+use wgpu::{Buffer, BufferDescriptor, BufferUsages};
 
 /// A pack in a GPU's memory.
 pub(crate) struct GpuScene {
@@ -24,16 +25,10 @@ pub(crate) struct GpuScene {
     pub(super) words: Vec<Buffer>,
     chunks: Chunks,
     variant: Variant,
-    kernels: Mutex<HashMap<KernelKey, Arc<Kernel>>>,
 }
 
-/// A compiled kernel and the layout of what it reads.
-pub(super) struct Kernel {
-    pub(super) pipeline: ComputePipeline,
-    pub(super) layout: BindGroupLayout,
-}
-
-/// Storage buffers of a kernel that are not of the scene: jobs, pixels, sums, counts, and two for probes.
+/// Storage buffers of a kernel that are not of the scene: jobs, pixels, sums, counts, and two for probes or for paths that are taken step
+/// by step.
 const OWN_BINDINGS: u32 = 6;
 
 /// What is kept free beside a scene for pixels and sums, which are bounded by a submission's work.
@@ -56,7 +51,11 @@ impl GpuScene {
             return Err(GpuError::CannotHold { needs, has, what: "places of 32 bits" });
         };
         let (slot_bytes, word_bytes) = (words.slots.len() as u64, words.length * 4);
-        let chunks = check(gpu, slot_bytes, word_bytes, options.binding_bytes_max)?;
+        let working = match options.form {
+            TraversalForm::Wavefront => WORKING_BYTES + tiles::UNDER_WAY as u64 * STATE_BYTES,
+            TraversalForm::PrivateStack | TraversalForm::ShortStack => WORKING_BYTES,
+        };
+        let chunks = check(gpu, slot_bytes, word_bytes, working, options.binding_bytes_max)?;
 
         let slots = upload(gpu, &[words.slots], 8 << chunks.slots_log2, slot_bytes, chunks.slot_bindings)?;
         let rows = upload(gpu, &words.pieces, 4 << chunks.words_log2, word_bytes, chunks.word_bindings)?;
@@ -77,27 +76,26 @@ impl GpuScene {
             begun.elapsed(),
             variant.name()
         );
-        Ok(Self {
-            gpu: gpu.clone(),
-            pack: pack.clone(),
-            options,
-            info,
-            slots,
-            words: rows,
-            chunks,
-            variant,
-            kernels: Mutex::default(),
-        })
+        Ok(Self { gpu: gpu.clone(), pack: pack.clone(), options, info, slots, words: rows, chunks, variant })
     }
 
-    /// Compiles the kernel that most frames use.
+    /// Compiles the kernels that most frames use.
     pub(crate) fn warm_up(&self) -> Result<(), GpuError> {
-        self.kernel(DEPTHS[0], Purpose::Render).map(|_| ())
+        let purposes: &[Purpose] = match self.options.form {
+            TraversalForm::Wavefront => &Stage::ALL.map(Purpose::Wave),
+            TraversalForm::PrivateStack | TraversalForm::ShortStack => &[Purpose::Render],
+        };
+        purposes.iter().try_for_each(|&purpose| self.kernel(DEPTHS[0], purpose).map(|_| ()))
     }
 
     /// Which scene it is.
     pub(crate) fn pack(&self) -> &Pack {
         &self.pack
+    }
+
+    /// Greatest number of waiting rays of a path.
+    pub(super) fn path_stack(&self, depth: u32) -> u32 {
+        self.variant.path_stack(depth)
     }
 
     /// The kernel for paths of `depth` mirror and bent rays, compiled the first time.
@@ -113,21 +111,7 @@ impl GpuScene {
             chunks: self.chunks,
             purpose,
         };
-        let mut kernels = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(kernel) = kernels.get(&key) {
-            return Ok(kernel.clone());
-        }
-        let begun = Instant::now();
-        let layout = self.gpu.try_make(|| bind_group_layout(&self.gpu, self.chunks, purpose))?;
-        let pipeline = compile(&self.gpu, &key, &layout)?;
-        tracing::debug!(
-            "compiled the kernel {} ({purpose:?}) in {:.1?}",
-            self.variant.name(),
-            begun.elapsed()
-        );
-        let kernel = Arc::new(Kernel { pipeline, layout });
-        kernels.insert(key, kernel.clone());
-        Ok(kernel)
+        self.gpu.kernel(key)
     }
 }
 
@@ -136,6 +120,7 @@ fn check(
     gpu: &Gpu,
     slot_bytes: u64,
     word_bytes: u64,
+    working: u64,
     binding_bytes_max: Option<u64>,
 ) -> Result<Chunks, GpuError> {
     let limits = gpu.limits();
@@ -144,13 +129,9 @@ fn check(
     let bindings = limits.max_storage_buffers_per_shader_stage.saturating_sub(OWN_BINDINGS);
     let needs = slot_bytes + word_bytes;
     if let Some(memory) = gpu.adapter().memory
-        && needs + WORKING_BYTES > memory
+        && needs + working > memory
     {
-        return Err(GpuError::CannotHold {
-            needs: needs + WORKING_BYTES,
-            has: memory,
-            what: "memory",
-        });
+        return Err(GpuError::CannotHold { needs: needs + working, has: memory, what: "memory" });
     }
     chunks(slot_bytes, word_bytes, binding, bindings).ok_or(GpuError::CannotHold {
         needs,

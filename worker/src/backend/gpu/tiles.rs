@@ -3,10 +3,11 @@
 //! Two submissions are under way at a time: while the pixels of one are read back and returned, the device computes the next. Nobody waits
 //! for the device between tiles.
 
-use super::kernel::{GROUP_SIDE, Purpose, SLOT_BINDING};
-use super::pass::{Cut, Piece};
-use super::scene::Kernel;
-use super::{GpuError, GpuScene};
+use super::kernel::{GROUP_SIDE, Kernel, Purpose, SLOT_BINDING};
+use super::pass::{Cut, Piece, Together};
+use super::slot::{COUNT_BYTES, CUT_LOOPS, FRONT_BYTES, JOBS, Slot, make_buffer};
+use super::wavefront::{self, HEAD_BYTES, ROUNDS, ROUNDS_MAX, ROUNDS_MIN, Waves};
+use super::{GpuError, GpuScene, TraversalForm};
 use crate::backend::cpu;
 use crate::session::{RenderTask, RenderedTile};
 use bytemuck::{bytes_of, cast_slice};
@@ -17,14 +18,12 @@ use tessera_whitted::device::{FrameInfo, Job, encode_rgba16, words_per_pixel};
 use tessera_whitted::{FrameParams, PixelFormat};
 use tessera_wire::Rays;
 use wgpu::{
-    BindGroupDescriptor, BindGroupEntry, Buffer, BufferDescriptor, BufferUsages, MapMode, SubmissionIndex,
+    BindGroup, BindGroupDescriptor, BindGroupEntry, Buffer, BufferUsages, CommandEncoder, MapMode,
+    SubmissionIndex,
 };
 
 /// Submissions under way at a time.
-const UNDER_WAY: usize = 2;
-
-/// Tiles in one submission at most.
-const JOBS: usize = 256;
+pub(super) const UNDER_WAY: usize = 2;
 
 /// How long a submission should take: long against the tens of microseconds that it costs, short against the 2 s after which systems
 /// take a GPU for hung.
@@ -49,6 +48,8 @@ pub(crate) struct Tiles {
     sums: Buffer,
     /// Samples of the next submission.
     budget: u64,
+    /// Rounds of the next submission, where paths are taken step by step.
+    rounds: u32,
     /// When the last submission was found done.
     last_done: Instant,
     /// Number of the first tile in `waiting`.
@@ -68,8 +69,11 @@ struct Waiting {
 
 struct UnderWay {
     slot: Slot,
+    run: Run,
     submission: SubmissionIndex,
     begun: Instant,
+    /// Time that earlier submissions of the same work have taken.
+    spent: Duration,
     samples: u64,
     /// Whether the budget ended it, and not the work.
     is_full: bool,
@@ -86,17 +90,30 @@ struct Part {
     is_last: bool,
 }
 
-/// Buffers of one submission.
-struct Slot {
-    frame: Buffer,
-    jobs: Buffer,
-    counts: Buffer,
-    pixels: Buffer,
-    readback: Buffer,
+/// How the paths of a submission are taken.
+enum Run {
+    /// Each from its beginning to its end, by one kernel in `groups` work-groups for each of `jobs` jobs.
+    Whole { kernel: Arc<Kernel>, bind_group: BindGroup, groups: u32, jobs: u32 },
+    /// Step by step.
+    Waves(Waves),
 }
 
-/// Bytes of the counts of a submission's jobs.
-const COUNT_BYTES: u64 = JOBS as u64 * 16;
+impl Run {
+    fn encode(&mut self, encoder: &mut CommandEncoder, slot: &Slot, rounds: u32) {
+        match self {
+            Self::Whole { kernel, bind_group, groups, jobs } => {
+                let mut pass = encoder.begin_compute_pass(&Default::default());
+                pass.set_pipeline(&kernel.pipeline);
+                pass.set_bind_group(0, &*bind_group, &[]);
+                pass.dispatch_workgroups(*groups, *jobs, 1);
+            }
+            Self::Waves(waves) => {
+                waves.encode(encoder, rounds);
+                waves.copy_head(encoder, &slot.readback, COUNT_BYTES);
+            }
+        }
+    }
+}
 
 impl Tiles {
     /// No tiles yet.
@@ -111,6 +128,7 @@ impl Tiles {
             free,
             sums,
             budget,
+            rounds: ROUNDS,
             last_done: Instant::now(),
             first: 0,
         })
@@ -131,10 +149,16 @@ impl Tiles {
         let params = cpu::params(&task.frame);
         // `Frame::check` bounds a tile's bytes by `limits::TILE_BYTES`.
         let bytes = task.rect.width as usize * task.rect.height as usize * params.format.bytes_per_pixel();
+        let together = match self.scene.options.form {
+            TraversalForm::Wavefront => Together::All,
+            // Mesa's software drivers end all loops of a kernel after 65,535 turns in all, silently.
+            _ if self.scene.gpu.is_software() => Together::One,
+            TraversalForm::PrivateStack | TraversalForm::ShortStack => Together::Fitting,
+        };
         self.waiting.push_back(Waiting {
             task,
             params,
-            cut: Cut::new(task.rect, params.samples),
+            cut: Cut::new(task.rect, params.samples, together),
             pixels: vec![0; bytes],
             rays: Rays::default(),
             time: Duration::ZERO,
@@ -172,7 +196,8 @@ impl Tiles {
         let params = self.waiting[start].params;
         let words_each = u64::from(words_per_pixel(params.format));
         let (mut jobs, mut parts): (Vec<Job>, Vec<Part>) = Default::default();
-        let (mut samples, mut words, mut sums, mut groups, mut is_full) = (0, 0, 1, 1, false);
+        let (mut samples, mut words, mut sums, mut is_full) = (0, 0, 1, false);
+        let (mut blocks, mut groups) = (0, 1);
 
         // Collect pieces of tiles of one frame until the budget is used up.
         for (index, tile) in self.waiting.iter_mut().enumerate().skip(start) {
@@ -198,12 +223,13 @@ impl Tiles {
                 first_sample,
                 end_sample,
                 at_pixels: words as u32,
-                at_sums: 0,
+                first_block: blocks,
             });
             parts.push(Part { tile: self.first + index as u64, piece, at_pixels: words, is_last });
             *pieces += 1;
             samples += pixels * u64::from(end_sample - first_sample);
-            groups = rect.width.div_ceil(GROUP_SIDE).saturating_mul(rows.div_ceil(GROUP_SIDE)).max(groups);
+            let of_it = rect.width.div_ceil(GROUP_SIDE).saturating_mul(rows.div_ceil(GROUP_SIDE));
+            (blocks, groups) = (blocks + of_it, groups.max(of_it));
             if is_last {
                 words += pixels * words_each;
             }
@@ -218,71 +244,110 @@ impl Tiles {
                 break;
             }
         }
-        let depth = params.max_depth.min(FrameParams::MAX_DEPTH);
-        let kernel = self.scene.kernel(depth, Purpose::Render)?;
         if sums * 16 > self.sums.size() {
             self.sums = make_sums(&self.scene, sums)?;
         }
-        let slot = slot.for_words(&self.scene, words)?;
+        let mut slot = slot.for_words(&self.scene, words)?;
         let begun = Instant::now();
-        let submission = self.encode(&slot, &kernel, &params, &jobs, groups, words);
+        let queue = self.scene.gpu.queue();
+        queue.write_buffer(&slot.frame, 0, bytes_of(&FrameInfo::of(&params)));
+        queue.write_buffer(&slot.jobs, 0, cast_slice(&jobs));
+        let mut run = self.run(&mut slot, &params, (jobs.len() as u32, groups, blocks))?;
+        let submission = self.encode(&slot, &mut run, words, true);
         self.scene.gpu.check()?;
-        self.under_way.push_back(UnderWay { slot, submission, begun, samples, is_full, words, parts });
+        let spent = Duration::ZERO;
+        self.under_way.push_back(UnderWay {
+            slot,
+            run,
+            submission,
+            begun,
+            spent,
+            samples,
+            is_full,
+            words,
+            parts,
+        });
         Ok(true)
     }
 
-    fn encode(
+    /// What takes the paths of `jobs` jobs with `groups` blocks of pixels at most, `blocks` in all.
+    fn run(
         &self,
-        slot: &Slot,
-        kernel: &Kernel,
+        slot: &mut Slot,
         params: &FrameParams,
-        jobs: &[Job],
-        groups: u32,
-        words: u64,
-    ) -> SubmissionIndex {
-        let GpuScene { gpu, .. } = &*self.scene;
-        gpu.queue().write_buffer(&slot.frame, 0, bytes_of(&FrameInfo::of(params)));
-        gpu.queue().write_buffer(&slot.jobs, 0, cast_slice(jobs));
+        (jobs, groups, blocks): (u32, u32, u32),
+    ) -> Result<Run, GpuError> {
+        let scene = &*self.scene;
+        let depth = params.max_depth.min(FrameParams::MAX_DEPTH);
         let own = [&slot.frame, &slot.jobs, &slot.pixels, &self.sums, &slot.counts];
-        let bind_group = self.scene.bind_group(kernel, own, &[]);
-        let mut encoder = gpu.device().create_command_encoder(&Default::default());
-        encoder.clear_buffer(&slot.counts, 0, None);
-        {
-            let mut pass = encoder.begin_compute_pass(&Default::default());
-            pass.set_pipeline(&kernel.pipeline);
-            pass.set_bind_group(0, &bind_group, &[]);
-            pass.dispatch_workgroups(groups, jobs.len() as u32, 1);
+        if scene.options.form == TraversalForm::Wavefront {
+            return Ok(Run::Waves(Waves::new(scene, depth, own, &mut slot.waves, (jobs, blocks))?));
         }
+        let kernel = scene.kernel(depth, Purpose::Render)?;
+        let bind_group = scene.bind_group(&kernel, own, &[]);
+        Ok(Run::Whole { kernel, bind_group, groups, jobs })
+    }
+
+    fn encode(&self, slot: &Slot, run: &mut Run, words: u64, is_first: bool) -> SubmissionIndex {
+        let gpu = &self.scene.gpu;
+        let mut encoder = gpu.device().create_command_encoder(&Default::default());
+        if is_first {
+            encoder.clear_buffer(&slot.counts, 0, None);
+        }
+        run.encode(&mut encoder, slot, self.rounds);
         encoder.copy_buffer_to_buffer(&slot.counts, 0, &slot.readback, 0, COUNT_BYTES);
         if words > 0 {
-            encoder.copy_buffer_to_buffer(&slot.pixels, 0, &slot.readback, COUNT_BYTES, words * 4);
+            encoder.copy_buffer_to_buffer(&slot.pixels, 0, &slot.readback, FRONT_BYTES, words * 4);
         }
         let submission = gpu.queue().submit([encoder.finish()]);
         // Whether it could be mapped shows when the range is asked for.
-        slot.readback.map_async(MapMode::Read, ..COUNT_BYTES + words * 4, |_| ());
+        slot.readback.map_async(MapMode::Read, ..FRONT_BYTES + words * 4, |_| ());
         submission
+    }
+
+    /// Goes on with work that is not finished.
+    fn go_on(&mut self, done: UnderWay, took: Duration) -> Result<(), GpuError> {
+        let UnderWay { slot, mut run, words, .. } = done;
+        if took > TARGET * 2 {
+            self.rounds = (self.rounds / 2).max(ROUNDS_MIN);
+        } else if took < TARGET / 2 {
+            self.rounds = (self.rounds * 2).min(ROUNDS_MAX);
+        }
+        let begun = Instant::now();
+        let submission = self.encode(&slot, &mut run, words, false);
+        self.scene.gpu.check()?;
+        let spent = done.spent + took;
+        self.under_way.push_back(UnderWay { slot, run, submission, begun, spent, ..done });
+        Ok(())
     }
 
     /// Waits for a submission and takes its pixels.
     fn take_in(&mut self, done: UnderWay) -> Result<(), GpuError> {
-        let UnderWay { slot, submission, begun, samples, is_full, words, parts } = done;
-        self.scene.gpu.wait(submission, PATIENCE)?;
+        self.scene.gpu.wait(done.submission.clone(), PATIENCE)?;
         let now = Instant::now();
-        let took = now - begun.max(self.last_done);
+        let took = now - done.begun.max(self.last_done);
         self.last_done = now;
+        if !done.is_finished()? && done.parts.iter().any(|part| part.tile >= self.first) {
+            done.slot.readback.unmap();
+            return self.go_on(done, took);
+        }
+        let UnderWay { slot, spent, samples, is_full, words, parts, .. } = done;
+        let took = spent + took;
         if took > TARGET * 2 {
             self.budget = (self.budget / 2).max(BUDGET_MIN);
         } else if is_full && took < TARGET / 2 {
             self.budget = (self.budget * 2).min(BUDGET_MAX);
         }
         {
-            let range = slot.readback.get_mapped_range(..COUNT_BYTES + words * 4);
-            let range = range.map_err(|e| GpuError::Lost(format!("its memory cannot be read: {e}")))?;
-            let (counts, pixels): (&[u32], &[u32]) = {
+            let range = slot.mapped(0, FRONT_BYTES + words * 4)?;
+            let (front, pixels): (&[u32], &[u32]) = {
                 let all: &[u32] = cast_slice(&range);
-                all.split_at(COUNT_BYTES as usize / 4)
+                all.split_at(FRONT_BYTES as usize / 4)
             };
-            for (part, counts) in parts.iter().zip(counts.chunks_exact(4)) {
+            if front[CUT_LOOPS] != 0 {
+                return Err(GpuError::LoopsCut);
+            }
+            for (part, counts) in parts.iter().zip(front.chunks_exact(4)) {
                 // A tile that was forgotten meanwhile has a number before those that are waiting.
                 let Some(index) = part.tile.checked_sub(self.first) else { continue };
                 let Some(tile) = self.waiting.get_mut(index as usize) else { continue };
@@ -311,6 +376,16 @@ impl Tiles {
     }
 }
 
+impl UnderWay {
+    /// Whether every path has ended, of a submission that is done.
+    fn is_finished(&self) -> Result<bool, GpuError> {
+        match self.run {
+            Run::Whole { .. } => Ok(true),
+            Run::Waves(_) => Ok(wavefront::is_done(&self.slot.mapped(COUNT_BYTES, HEAD_BYTES)?)),
+        }
+    }
+}
+
 /// A device's words as a frame's pixels.
 pub(super) fn write_pixels(format: PixelFormat, words: &[u32], pixels: &mut [u8]) {
     match format {
@@ -328,65 +403,9 @@ fn make_sums(scene: &GpuScene, pixels: u64) -> Result<Buffer, GpuError> {
     make_buffer(scene, "sums", pixels * 16, BufferUsages::STORAGE)
 }
 
-pub(super) fn make_buffer(
-    scene: &GpuScene,
-    label: &'static str,
-    size: u64,
-    usage: BufferUsages,
-) -> Result<Buffer, GpuError> {
-    scene.gpu.try_make(|| {
-        scene.gpu.device().create_buffer(&BufferDescriptor {
-            label: Some(label),
-            size,
-            usage,
-            mapped_at_creation: false,
-        })
-    })
-}
-
-impl Slot {
-    fn new(scene: &GpuScene) -> Result<Self, GpuError> {
-        let storage = BufferUsages::STORAGE | BufferUsages::COPY_DST;
-        Ok(Self {
-            frame: make_buffer(
-                scene,
-                "frame",
-                size_of::<FrameInfo>() as u64,
-                BufferUsages::UNIFORM | BufferUsages::COPY_DST,
-            )?,
-            jobs: make_buffer(scene, "jobs", (JOBS * size_of::<Job>()) as u64, storage)?,
-            counts: make_buffer(scene, "counts", COUNT_BYTES, storage | BufferUsages::COPY_SRC)?,
-            pixels: make_buffer(scene, "pixels", 4, BufferUsages::STORAGE | BufferUsages::COPY_SRC)?,
-            readback: make_buffer(
-                scene,
-                "readback",
-                COUNT_BYTES,
-                BufferUsages::MAP_READ | BufferUsages::COPY_DST,
-            )?,
-        })
-    }
-
-    /// With room for so many words of pixels.
-    fn for_words(mut self, scene: &GpuScene, words: u64) -> Result<Self, GpuError> {
-        let bytes = words * 4;
-        if bytes > self.pixels.size() {
-            let size = bytes.next_power_of_two();
-            self.pixels = make_buffer(scene, "pixels", size, BufferUsages::STORAGE | BufferUsages::COPY_SRC)?;
-            let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
-            self.readback = make_buffer(scene, "readback", COUNT_BYTES + size, usage)?;
-        }
-        Ok(self)
-    }
-}
-
 impl GpuScene {
     /// The bind group of a kernel: the scene, `own` (frame, jobs, pixels, sums, counts), and what comes after the scene's words.
-    pub(super) fn bind_group(
-        &self,
-        kernel: &Kernel,
-        own: [&Buffer; 5],
-        extra: &[&Buffer],
-    ) -> wgpu::BindGroup {
+    pub(super) fn bind_group(&self, kernel: &Kernel, own: [&Buffer; 5], extra: &[&Buffer]) -> BindGroup {
         let scene = self.slots.iter().chain(&self.words);
         let buffers = [&self.info].into_iter().chain(own).chain(scene).chain(extra.iter().copied());
         let entries: Vec<_> = buffers

@@ -3,7 +3,9 @@
 use super::eval::{Machine, Value};
 use super::{keys, parse, whole};
 use crate::backend::gpu::kernel::{GROUP_SIDE, KernelKey, TraversalForm};
-use crate::backend::gpu::probe::PROBE_WORDS;
+use crate::backend::gpu::probe::{PATH_ENDED, PROBE_WORDS};
+use crate::backend::gpu::slot::CUT_LOOPS;
+use crate::backend::gpu::wavefront::GROUPS_ACROSS;
 use naga::{ArraySize, TypeInner};
 use std::collections::BTreeMap;
 use tessera_geometry::{LocalCamera, Vec3, wgsl as geometry};
@@ -11,20 +13,27 @@ use tessera_kdtree::{node, wgsl as kdtree};
 use tessera_pack::{EnvironmentKind, LightKind, Material, MaterialFlags, NO_TEXTURE, Wrap};
 use tessera_quantize::normal;
 use tessera_whitted::twins::{constants as whitted, frame_word};
-use tessera_whitted::{Features, FrameParams, PixelFormat};
+use tessera_whitted::{Features, FrameParams, PixelFormat, Probe};
 
 /// Constants that Rust has not, and why.
-const WGSL_ONLY: [(&str, &str); 13] = [
+const WGSL_ONLY: [(&str, &str); 20] = [
     ("SHORT", "a choice of the short stack, which the CPU has not; any gives the same answers"),
     ("LEAST_STEEPNESS", "of the distance without f64, which the CPU has not"),
     ("SQUARE_OVERFLOWS", "the CPU lets infinities come and go"),
     ("SQUARE_UNDERFLOWS", "the CPU lets infinities come and go"),
-    ("LEAST_SENT", "the CPU takes nothing but 0 for nothing"),
     ("EXP2_HIGH", "libm has it in f64; held to its meaning below"),
     ("EXP2_LOW", "libm has it in f64; held to its meaning below"),
-    ("LOOK", "a kind of query; a closure on the CPU"),
-    ("OPAQUE", "a kind of query; a closure on the CPU"),
-    ("LAYER", "a kind of query; a closure on the CPU"),
+    ("ROW_ASKED", "a row of a state, which kernels alone read"),
+    ("ROW_HIT", "a row of a state, which kernels alone read"),
+    ("ROW_AT_HAND", "a row of a state, which kernels alone read"),
+    ("ROW_SEEN", "a row of a state, which kernels alone read"),
+    ("ROW_SEEN_FIRST", "a row of a state, which kernels alone read"),
+    ("ROW_SUM", "a row of a state, which kernels alone read"),
+    ("ROW_COUNTS", "a row of a state, which kernels alone read"),
+    ("ROW_VIEW", "a row of a state, which kernels alone read"),
+    ("ROW_LIGHT", "a row of a state, which kernels alone read"),
+    ("PATH_NEW", "how far a probed path is, for the kernel alone"),
+    ("PATH_UNDER_WAY", "how far a probed path is, for the kernel alone"),
     ("BARE", "a kind of query; a closure on the CPU"),
     ("CODING_SRGB", "an enum without numbers on the CPU"),
     ("CODING_LINEAR", "an enum without numbers on the CPU"),
@@ -62,6 +71,12 @@ fn twins(f64: bool) -> BTreeMap<&'static str, u32> {
         ("FORMAT_LAYERS", format(PixelFormat::Layers).expect("a word")),
         ("GROUP_SIDE", GROUP_SIDE),
         ("PROBE_WORDS", PROBE_WORDS as u32),
+        ("PATH_ENDED", PATH_ENDED),
+        ("CUT_LOOPS", CUT_LOOPS as u32),
+        ("GROUPS_ACROSS", GROUPS_ACROSS),
+        ("LOOK", Probe::LOOK),
+        ("OPAQUE", Probe::OPAQUE),
+        ("LAYER", Probe::LAYER),
     ]);
     for (name, bits) in geometry::CONSTANTS.into_iter().chain(kdtree::constants(f64)).chain(whitted()) {
         assert_eq!(twins.insert(name, bits), None, "{name} is in two tables");
