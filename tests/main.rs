@@ -28,3 +28,4 @@ mod service;
 mod simulation;
 mod support;
 mod tidy;
+mod variants;

@@ -303,6 +303,23 @@ pub fn skipped(why: impl std::fmt::Display) {
     let _ = writeln!(std::io::stderr(), "SKIPPED: {why}");
 }
 
+/// Whether there is a GPU, or a driver that plays one, to test with. `TESSERA_GPU=require` fails without one, `allow` (the default) and
+/// `off` say that nothing is tested.
+pub fn has_gpu() -> bool {
+    use std::io::Write;
+    let asked = std::env::var("TESSERA_GPU").unwrap_or_else(|_| "allow".into());
+    let is_there = || tessera_worker::adapters().iter().any(|adapter| adapter.unusable.is_none());
+    let why = match asked.as_str() {
+        "require" | "allow" if is_there() => return true,
+        "require" => panic!("TESSERA_GPU=require, and there is no adapter"),
+        "allow" => "no adapter",
+        _ => "TESSERA_GPU is neither `require` nor `allow`",
+    };
+    // As for `skipped`.
+    let _ = writeln!(std::io::stderr(), "GPU tests skipped: {why}");
+    false
+}
+
 /// Two triangles that face +z, one of them higher.
 pub const PLY: &str = "\
 ply

@@ -23,6 +23,19 @@ pub enum TraversalForm {
     ShortStack,
 }
 
+impl TraversalForm {
+    /// All of them, the default first.
+    pub const ALL: [Self; 2] = [Self::PrivateStack, Self::ShortStack];
+
+    /// For people and programs.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::PrivateStack => "private-stack",
+            Self::ShortStack => "short-stack",
+        }
+    }
+}
+
 /// How kernels are made; every choice gives the same answers, but for `f64`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct GpuOptions {
@@ -169,16 +182,17 @@ pub(super) fn bind_group_layout(gpu: &Gpu, chunks: Chunks, purpose: Purpose) -> 
     gpu.device().create_bind_group_layout(&descriptor)
 }
 
-/// Compiles a kernel.
+/// Compiles a kernel; returns the length of its text too.
 pub(super) fn compile(
     gpu: &Gpu,
     key: &KernelKey,
     layout: &BindGroupLayout,
-) -> Result<ComputePipeline, GpuError> {
+) -> Result<(ComputePipeline, usize), GpuError> {
     let end = SLOT_BINDING + key.chunks.slot_bindings + key.chunks.word_bindings;
     let text =
         text(key).replace("PROBE_INPUT", &end.to_string()).replace("PROBE_OUTPUT", &(end + 1).to_string());
-    gpu.try_make(|| {
+    let length = text.len();
+    let pipeline = gpu.try_make(|| {
         let source = ShaderSource::Wgsl(Cow::Owned(text));
         let module = shader_module(gpu, ShaderModuleDescriptor { label: Some(key.purpose.entry()), source });
         let layouts = [Some(layout)];
@@ -198,7 +212,8 @@ pub(super) fn compile(
             },
             cache: None,
         })
-    })
+    })?;
+    Ok((pipeline, length))
 }
 
 /// A module without checks at run time, which cost a third of the time and more.

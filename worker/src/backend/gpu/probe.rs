@@ -3,11 +3,13 @@
 use super::kernel::Purpose;
 use super::tiles::{Tiles, make_buffer};
 use super::{Gpu, GpuError, GpuOptions, GpuScene};
-use crate::backend::{Adapter, BackendError};
+use crate::backend::{Adapter, BackendError, cpu};
 use bytemuck::{bytes_of, cast_slice};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 use tessera_geometry::{Hit, Ray, Vec3};
+use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 use tessera_whitted::FrameParams;
 use tessera_whitted::device::FrameInfo;
@@ -50,6 +52,11 @@ impl GpuProbe {
         Gpu::open(wanted, options.f64).map(|gpu| Self { gpu, options })
     }
 
+    /// The same GPU with other kernels; `f64` only where it was opened with it.
+    pub fn with(&self, options: GpuOptions) -> Self {
+        Self { gpu: self.gpu.clone(), options }
+    }
+
     /// Which it is.
     pub fn adapter(&self) -> &Adapter {
         self.gpu.adapter()
@@ -57,12 +64,15 @@ impl GpuProbe {
 
     /// Whether its kernels compute in `f64` where it matters.
     pub fn uses_f64(&self) -> bool {
-        self.gpu.uses_f64()
+        self.gpu.uses_f64() && self.options.f64
     }
 
-    /// Uploads a pack.
+    /// Uploads a pack, and waits until it is there.
     pub fn load(&self, pack: &Pack) -> Result<ProbedScene, GpuError> {
-        GpuScene::load(&self.gpu, pack, self.options).map(|scene| ProbedScene { scene: Arc::new(scene) })
+        let scene = Arc::new(GpuScene::load(&self.gpu, pack, self.options)?);
+        let submission = self.gpu.queue().submit([]);
+        self.gpu.wait(submission, PATIENCE)?;
+        Ok(ProbedScene { scene })
     }
 }
 
@@ -138,6 +148,11 @@ impl ProbedScene {
         }
     }
 
+    /// Bytes of the text of the kernels that its work so far has needed.
+    pub fn kernel_bytes(&self) -> usize {
+        self.scene.text_bytes()
+    }
+
     /// Runs a kernel over `count` items with `input`, and returns `words` of output.
     fn run(
         &self,
@@ -178,6 +193,13 @@ impl ProbedScene {
         let range = range.map_err(|e| GpuError::Lost(format!("its memory cannot be read: {e}")))?;
         Ok(cast_slice(&range).to_vec())
     }
+}
+
+/// The same as [`ProbedScene::frame`] on the CPU, by the threads of the current rayon pool.
+pub fn cpu_frame(pack: &Pack, kernel: Kernel, frame: &tessera_wire::Frame) -> (Vec<u8>, tessera_wire::Rays) {
+    let rect = tessera_wire::Rect { x: 0, y: 0, width: frame.width, height: frame.height };
+    // It is never stopped.
+    cpu::render(pack, kernel, frame, rect, &AtomicBool::new(false)).unwrap_or_default()
 }
 
 /// What a kernel takes for 'without end'.

@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 use tessera_pack::Pack;
 use tessera_pack::device::DeviceWords;
-use tessera_whitted::device::{SceneInfo, code_thresholds};
 use tessera_whitted::FrameParams;
+use tessera_whitted::device::{SceneInfo, code_thresholds};
 use tessera_whitted::variant::Variant;
 use wgpu::{BindGroupLayout, Buffer, BufferDescriptor, BufferUsages, ComputePipeline};
 
@@ -31,6 +31,8 @@ pub(crate) struct GpuScene {
 pub(super) struct Kernel {
     pub(super) pipeline: ComputePipeline,
     pub(super) layout: BindGroupLayout,
+    /// Bytes of its text.
+    text_bytes: usize,
 }
 
 /// Storage buffers of a kernel that are not of the scene: jobs, pixels, sums, counts, and two for probes.
@@ -100,6 +102,12 @@ impl GpuScene {
         &self.pack
     }
 
+    /// Bytes of the text of all kernels that have been compiled for it.
+    pub(super) fn text_bytes(&self) -> usize {
+        let kernels = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
+        kernels.values().map(|kernel| kernel.text_bytes).sum()
+    }
+
     /// The kernel for paths of `depth` mirror and bent rays, compiled the first time.
     pub(super) fn kernel(&self, depth: u32, purpose: Purpose) -> Result<Arc<Kernel>, GpuError> {
         // A path that needs no stack is the same at any depth; others have room for a few depths.
@@ -119,13 +127,13 @@ impl GpuScene {
         }
         let begun = Instant::now();
         let layout = self.gpu.try_make(|| bind_group_layout(&self.gpu, self.chunks, purpose))?;
-        let pipeline = compile(&self.gpu, &key, &layout)?;
+        let (pipeline, text_bytes) = compile(&self.gpu, &key, &layout)?;
         tracing::debug!(
             "compiled the kernel {} ({purpose:?}) in {:.1?}",
             self.variant.name(),
             begun.elapsed()
         );
-        let kernel = Arc::new(Kernel { pipeline, layout });
+        let kernel = Arc::new(Kernel { pipeline, layout, text_bytes });
         kernels.insert(key, kernel.clone());
         Ok(kernel)
     }
@@ -140,11 +148,7 @@ fn check(gpu: &Gpu, slot_bytes: u64, word_bytes: u64) -> Result<Chunks, GpuError
     if let Some(memory) = gpu.adapter().memory
         && needs + WORKING_BYTES > memory
     {
-        return Err(GpuError::CannotHold {
-            needs: needs + WORKING_BYTES,
-            has: memory,
-            what: "memory",
-        });
+        return Err(GpuError::CannotHold { needs: needs + WORKING_BYTES, has: memory, what: "memory" });
     }
     chunks(slot_bytes, word_bytes, binding, bindings).ok_or(GpuError::CannotHold {
         needs,
