@@ -1,6 +1,6 @@
 //! The benches, run small: what they print, and that they compute the same each time.
 
-use crate::support::{Folder, PLY, Tessera, has_gpu};
+use crate::support::{Folder, PLY, Tessera, gpu};
 use std::collections::BTreeMap;
 
 /// Lines of `tessera bench rays --json` on a small image.
@@ -144,7 +144,7 @@ const TINY: &str = "[generate]\nkind = \"cornell\"\ntriangles = 1000\n";
 
 #[test]
 fn gpu_measures_each_kernel_and_all_make_one_picture() {
-    if !has_gpu() {
+    if gpu().is_none() {
         return;
     }
     let folder = Folder::new();
@@ -242,7 +242,7 @@ fn a_scene_says_which_kernel_it_needs() {
     let text = info(&["tiny.toml"]).ok();
     assert!(text.contains(&format!("\nkernel     {name}, left out: ")), "{text}");
 
-    if !has_gpu() {
+    if gpu().is_none() {
         return;
     }
     let render = |more: &[&str]| {

@@ -18,6 +18,7 @@ mod deploy;
 mod gpu;
 #[cfg(target_os = "linux")]
 mod joined;
+mod kernels;
 mod leaks;
 #[cfg(target_os = "linux")]
 mod machines;

@@ -22,11 +22,13 @@ const DOORS: [(&str, &[&str]); 11] = [
 ];
 
 /// Crates that may be named by these manifests only.
-const RESERVED: [(&str, &[&str]); 5] = [
+const RESERVED: [(&str, &[&str]); 7] = [
     ("tokio", &["tessera", "tessera-master", "tessera-worker"]),
     ("quinn", &["tessera-master", "tessera-worker"]),
     ("rcgen", &["tessera-trust"]),
     ("wgpu", &["tessera-worker"]),
+    ("naga", &["tessera-worker"]),
+    ("pollster", &["tessera-worker"]),
     ("obvhs", &["tessera"]),
 ];
 
@@ -219,7 +221,7 @@ fn dependencies(manifest: &Table) -> Vec<String> {
 }
 
 /// Rust and shader sources, as paths from the root, in order.
-fn sources() -> Vec<(PathBuf, String)> {
+pub fn sources() -> Vec<(PathBuf, String)> {
     let is_source = |path: &PathBuf| path.extension().is_some_and(|e| e == "rs" || e == "wgsl");
     let read = |path: PathBuf| {
         let text = fs::read_to_string(root().join(&path)).expect("a source file");

@@ -1,7 +1,7 @@
 //! What a kernel leaves out changes no picture: the GPU's twin of the tests of `tessera_whitted::variant`.
 
 use crate::stage::{Stage, chalk, glass, look, mirror, one_sided, point_light};
-use crate::support::has_gpu;
+use crate::support::gpu;
 use tessera_master::{Balance, FrameJob};
 use tessera_pack::{ImageInput, Material, MaterialFlags, Pack};
 use tessera_whitted::PixelFormat;
@@ -43,10 +43,7 @@ fn frame(pack: &Pack) -> Frame {
 
 #[test]
 fn a_kernel_with_everything_renders_the_same_picture() {
-    if !has_gpu() {
-        return;
-    }
-    let lean = GpuProbe::open(None, GpuOptions::default()).expect("it is there");
+    let Some(lean) = gpu() else { return };
     let full = lean.with(GpuOptions { lean: false, ..GpuOptions::default() });
     let mask = Material { base_texture: 0, flags: MaterialFlags::ALPHA_MASK, ..chalk() };
     let veil = Material {

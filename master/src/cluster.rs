@@ -522,7 +522,8 @@ impl Cluster {
             }
             Event::Joined(worker) => {
                 let (name, peer) = (self.describe(worker), self.peer(worker));
-                progress(Progress::WorkerJoined { name: &name, peer });
+                let class = self.coordinator.class_of(worker).unwrap_or("?");
+                progress(Progress::WorkerJoined { name: &name, peer, class });
             }
             Event::PackRejected(worker, reason) => {
                 let name = self.describe(worker);

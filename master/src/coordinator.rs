@@ -370,7 +370,8 @@ impl Coordinator {
         self.holders().filter(is_of_class).collect()
     }
 
-    fn class_of(&self, worker: WorkerId) -> Option<&str> {
+    /// The numeric class of a worker that has joined and neither left nor is lost.
+    pub fn class_of(&self, worker: WorkerId) -> Option<&str> {
         Some(&self.sessions.get(&worker)?.abilities()?.numeric_class)
     }
 

@@ -105,6 +105,8 @@ pub enum Progress<'a> {
         name: &'a str,
         /// From where.
         peer: &'a str,
+        /// Its arithmetic.
+        class: &'a str,
     },
     /// The frame is rendered by workers of one numeric class, and there are others.
     ClassChosen {
@@ -144,7 +146,9 @@ impl fmt::Display for Progress<'_> {
             Self::Sent { bytes, total } => write!(f, "{bytes} of {total} bytes of the scene are sent"),
             Self::Tiles { done, total } => write!(f, "{done} of {total} tiles"),
             Self::PackRejected { name, reason } => write!(f, "{name} cannot hold the scene: {reason}"),
-            Self::WorkerJoined { name, peer } => write!(f, "{name} has joined from {peer}"),
+            Self::WorkerJoined { name, peer, class } => {
+                write!(f, "{name} has joined from {peer}, numeric class {class}")
+            }
             Self::ClassChosen { class, workers, idle } => {
                 let holders = u64::from(workers) + u64::from(idle);
                 write!(f, "the frame is rendered in class {class} by {workers} of {holders} workers; ")?;

@@ -153,10 +153,9 @@ async fn perform(cluster: &mut Cluster, job: &mut Job) -> Result<FrameResult, Fr
 /// One line for each worker that comes, goes, or has no room.
 fn log(progress: &Progress<'_>) {
     match progress {
-        Progress::WorkerJoined { name, peer } => tracing::info!("{name} has joined from {peer}"),
         Progress::WorkerLost { name, reason } => tracing::info!("{name} is gone: {reason}"),
         Progress::PackRejected { name, reason } => tracing::info!("{name} cannot hold the scene: {reason}"),
-        Progress::ClassChosen { .. } => tracing::info!("{progress}"),
+        Progress::WorkerJoined { .. } | Progress::ClassChosen { .. } => tracing::info!("{progress}"),
         Progress::Restarted { .. } => tracing::warn!("{progress}"),
         Progress::Waiting { .. } | Progress::NoWorkers | Progress::Sent { .. } | Progress::Tiles { .. } => {}
     }

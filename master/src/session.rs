@@ -383,6 +383,9 @@ mod tests {
         let texts = "name must have 1 to 512 bytes and no control characters";
         check(&|h| h.name = "\x1b[2J".into(), None, Refusal::Malformed { detail: texts.into() });
         check(&|h| h.name = String::new(), None, Refusal::Malformed { detail: texts.into() });
+        let texts = "note must have 1 to 512 bytes and no control characters";
+        let noted = |note: &str| hello_with(|a| a.note = note.into());
+        check(&|h| *h = noted("x\ny"), None, Refusal::Malformed { detail: texts.into() });
         let many = "17 versions, at most 16 are allowed";
         check(&|h| h.versions = vec![3; 17], None, Refusal::Malformed { detail: many.into() });
     }

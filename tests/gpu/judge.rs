@@ -12,6 +12,7 @@
 
 use crate::kinds::truth;
 use std::fmt;
+use tessera_geometry::rounding::UNIT_ROUNDOFF;
 use tessera_geometry::{Hit, Ray, Vec3};
 use tessera_kdtree::Triangles;
 use tessera_pack::Pack;
@@ -32,12 +33,12 @@ impl TBound {
     pub const DOUBLE: Self = Self { relative: 1.0 / 8_388_608.0, is_lateral: false };
 
     /// Without: a distance from three weighed depths, each with a shear, two products, a sum and a division of 5 roundoffs; 64 roundoffs together. And
-    /// wherever the lateral error takes it.
+    /// wherever the lateral error takes it, and weights that are off by the rounding of edge functions.
     pub const SINGLE: Self = Self { relative: 1.0 / 262_144.0, is_lateral: true };
 
     /// For the triangle that `sight` is of.
     pub fn allows(&self, sight: &Sight) -> f64 {
-        let rounded = self.relative * sight.t.abs();
+        let rounded = self.relative * sight.t.abs() + sight.rounding;
         // No point of the triangle is before its nearest corner or behind its farthest.
         if self.is_lateral { rounded + sight.slide.min(sight.depth) } else { rounded }
     }
@@ -53,7 +54,9 @@ pub struct Sight {
     pub t: f64,
     /// From its nearest corner to its farthest, as `t`.
     depth: f64,
-    /// How far along the ray the lateral error moves a point of its plane.
+    /// How far `f64` may be off where the distance comes out of differences of large numbers: at the ray's own origin nothing else is left of it.
+    rounding: f64,
+    /// How far along the ray the lateral error moves a point of its plane, and the error of weights one of the triangle.
     slide: f64,
 }
 
@@ -73,7 +76,14 @@ impl Sight {
         let slope = normal.dot(direction).abs() / (normal.length() * length);
         // Twice: along two axes, and from a point at equal depth to one of the plane.
         let slide = 2.0 * f64::from(OTHER_LATERAL_ERROR) * reach / (slope * length);
+        // Edge functions are off by 6 roundoffs of the longest edge squared, weights by that over the area as the ray sees it; three corners' depths are weighed.
+        let longest = (b - a).length().max((c - b).length()).max((a - c).length());
+        let weights = 18.0 * f64::from(UNIT_ROUNDOFF) * longest * longest / (normal.length() * slope);
+        let slide = slide + weights * (far - near);
+        // The normal is off by 2 roundoffs of two edges' product in each of three components, its product with a corner by 3 more: 16 cover them, twice.
+        let rounding = 16.0 * f64::EPSILON * longest * longest * reach / (normal.length() * slope * length);
         Self {
+            rounding: if rounding.is_finite() { rounding } else { 0.0 },
             is_inside: truth.t.is_some(),
             to_edges: truth.to_edges,
             t: if t.is_finite() { t.clamp(near, far) } else { near },
@@ -332,7 +342,8 @@ pub fn differ(
         }
         // (The CPU's distance of a grazed triangle is that of its edge, the plane may be elsewhere.)
         let exact = if is_same { f64::from(answer.t) } else { sight.t };
-        if !((f64::from(other.t) - exact).abs() <= others_bound) {
+        let off = (f64::from(other.t) - exact).abs();
+        if off.is_nan() || off > others_bound {
             return Some((Why::WrongDistance, others_bound));
         }
         if is_same {
@@ -457,4 +468,158 @@ fn some_blocker_excused((rules, pack): (&impl Rules, &Pack), probe: &Probe, boun
             }
         })
         .unwrap_or(Why::NotThere)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stage::{Stage, View, chalk, look, point_light};
+    use tessera_pack::{Material, MaterialFlags};
+    use tessera_whitted::PixelFormat;
+
+    /// Whatever `wrong` makes of the rays of the only pixel of `view`.
+    fn finding(stage: &Stage, view: View, wrong: impl FnOnce(&mut Vec<Probe>)) -> Option<Finding> {
+        let pack = stage.clone().pack();
+        let renderer = Renderer::new(&pack);
+        let params = view.params(&pack, PixelFormat::Layers);
+        let own = renderer.probe(&params, 0, 0, 0);
+        let mut other = own.clone();
+        wrong(&mut other);
+        judge((&renderer, &pack), &params, ((0, 0), 0), (&own, &other), TBound::SINGLE)
+    }
+
+    fn why(stage: &Stage, view: View, wrong: impl FnOnce(&mut Vec<Probe>)) -> Why {
+        finding(stage, view, wrong).expect("a difference").why
+    }
+
+    /// A square of two triangles in z = 0 with a corner at the origin, and one behind it.
+    fn squares() -> Stage {
+        let mut stage = Stage::default();
+        stage.quad([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], chalk());
+        stage.quad([-4.0, -4.0, -1.0], [8.0, 0.0, 0.0], [0.0, 8.0, 0.0], chalk());
+        stage
+    }
+
+    /// A ray along -z.
+    fn down(x: f64, y: f64) -> View {
+        look([x, y, 2.0], [x, y, 0.0])
+    }
+
+    #[test]
+    fn what_is_wrong_is_not_explained() {
+        let stage = squares();
+        let (inside, behind) = (down(0.7, 0.2), down(-1.0, 0.3));
+        assert_eq!(finding(&stage, inside, |_| {}), None);
+        // Another triangle than the one there, at its distance; the one behind at its own.
+        assert_eq!(why(&stage, inside, |rays| rays[0].triangle ^= 1), Why::NotThere);
+        let seen_behind = finding(&stage, behind, |rays| rays[0].triangle ^= 1).expect("a difference");
+        assert_eq!(seen_behind.why, Why::NotThere);
+        let pack = stage.clone().pack();
+        let params = behind.params(&pack, PixelFormat::Layers);
+        let far = Renderer::new(&pack).probe(&params, 0, 0, 0)[0];
+        let passes = |rays: &mut Vec<Probe>| {
+            // The square behind, whose distance is half as far again.
+            (rays[0].triangle, rays[0].t) = (if far.triangle == 2 { 3 } else { 2 }, far.t);
+        };
+        assert!(!why(&stage, inside, passes).is_explained());
+        assert_eq!(
+            why(&stage, inside, |rays| (rays[0].triangle, rays[0].t) = (Hit::NO_TRIANGLE, 0.0)),
+            Why::Missed
+        );
+        let nearer = |rays: &mut Vec<Probe>| rays[0].t *= 1.0 - 1e-4;
+        assert_eq!(why(&stage, inside, nearer), Why::WrongDistance);
+        let turned = |rays: &mut Vec<Probe>| rays[0].direction[0] += 1e-4;
+        assert_eq!(why(&stage, inside, turned), Why::WrongRay);
+        let no_triangle = |rays: &mut Vec<Probe>| rays[0].triangle = 1000;
+        assert!(!why(&stage, inside, no_triangle).is_explained());
+        let once_more = |rays: &mut Vec<Probe>| rays.push(rays[0]);
+        assert_eq!(why(&stage, inside, once_more), Why::WrongRays);
+    }
+
+    #[test]
+    fn at_an_edge_either_side_is_explained_and_beside_it_none() {
+        let stage = squares();
+        // On the outline: seen or not. A ten-thousandth inside: seen.
+        for (x, explained) in [(1.0, true), (1.0 - 1e-8, true), (1.0 - 1e-4, false)] {
+            let view = down(x, 0.25);
+            let pack = stage.clone().pack();
+            let params = view.params(&pack, PixelFormat::Layers);
+            let renderer = Renderer::new(&pack);
+            let own = renderer.probe(&params, 0, 0, 0);
+            // The other way about: behind what is hit, or before what is missed.
+            let behind = Probe { t_min: own[0].t, after_triangle: own[0].triangle, ..own[0] };
+            let mut other = own.clone();
+            if own[0].triangle < 2 {
+                other[0] = Probe { t_min: 0.0, after_triangle: Hit::NO_TRIANGLE, ..renderer.answer(&behind) };
+            } else {
+                (other[0].triangle, other[0].t) = (0, own[0].t * 2.0 / 3.0);
+            }
+            let found = judge((&renderer, &pack), &params, ((0, 0), 0), (&own, &other), TBound::SINGLE)
+                .expect("a difference");
+            assert_eq!(found.why, if explained { Why::Edge } else { Why::Missed }, "{x}: {found}");
+        }
+        // On the diagonal the neighbour is as good.
+        assert!(why(&stage, down(0.5, 0.5), |rays| rays[0].triangle ^= 1).is_explained());
+        assert!(!why(&stage, down(0.5, 0.4999), |rays| rays[0].triangle ^= 1).is_explained());
+    }
+
+    #[test]
+    fn coplanar_copies_tie() {
+        let mut stage = squares();
+        stage.quad([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], chalk());
+        let copy = |rays: &mut Vec<Probe>| rays[0].triangle += 4;
+        assert_eq!(why(&stage, down(0.7, 0.2), copy), Why::Tie);
+    }
+
+    #[test]
+    fn masks_and_sides_and_lights_are_explained_at_their_edges_only() {
+        // Alpha falls from 1 to 0 between the texels' centres at 1/4 and 3/4; cut off at 1/2.
+        let mut stage = squares();
+        stage.input.textures = vec![tessera_pack::ImageInput {
+            width: 2,
+            height: 1,
+            rgba: [255, 255, 255, 255, 255, 255, 255, 0].into(),
+            ..tessera_pack::ImageInput::default()
+        }];
+        let masked = Material { base_texture: 0, flags: MaterialFlags::ALPHA_MASK, ..chalk() };
+        stage.quad([0.0, 0.0, 0.5], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], masked);
+        let hole = |rays: &mut Vec<Probe>| (rays[0].triangle, rays[0].t) = (0, rays[0].t * 4.0 / 3.0);
+        assert_eq!(why(&stage, down(0.5 - 1e-6, 0.25), hole), Why::Material);
+        assert_eq!(why(&stage, down(0.4, 0.25), hole), Why::Missed);
+
+        // A light that is seen from a floor it stands in, and from one that it stands over.
+        let mut stage = Stage::default();
+        stage.quad([-4.0, -4.0, 0.0], [8.0, 0.0, 0.0], [0.0, 8.0, 0.0], chalk());
+        for (height, explained) in [(0.0f32, true), (1.0, false)] {
+            let mut stage = stage.clone();
+            stage.light(point_light([3.0, 0.0, height], 9.0));
+            let asks_otherwise = |rays: &mut Vec<Probe>| {
+                if rays.len() > 1 {
+                    rays.truncate(1);
+                } else {
+                    let shadow = Probe { kind: Probe::OPAQUE, t_max: 1.0, ..rays[0] };
+                    rays.push(Probe { triangle: 0, t: 0.0, ..shadow });
+                }
+            };
+            assert_eq!(why(&stage, down(0.3, 0.2), asks_otherwise).is_explained(), explained, "{height}");
+        }
+    }
+
+    #[test]
+    fn a_blocked_light_is_explained_where_the_blocker_is_grazed() {
+        // A lamp straight above its floor; a wall whose edge the ray to it passes.
+        for (x, explained) in [(0.0, true), (-0.01, false)] {
+            let mut stage = Stage::default();
+            stage.quad([-4.0, 0.0, -4.0], [0.0, 0.0, 8.0], [8.0, 0.0, 0.0], chalk());
+            stage.quad([x, 1.0, -1.0], [0.0, 0.0, 2.0], [2.0, 0.0, 0.0], chalk());
+            stage.light(point_light([0.0, 2.0, 0.0], 9.0));
+            let view = look([1.0, 0.5, 2.0], [0.0, 0.0, 0.0]);
+            let turn_over = |rays: &mut Vec<Probe>| {
+                let shadow = rays.iter_mut().find(|ray| ray.kind == Probe::OPAQUE).expect("it is asked");
+                shadow.triangle = if shadow.is_hit() { Hit::NO_TRIANGLE } else { 0 };
+            };
+            let why = why(&stage, view, turn_over);
+            assert_eq!(why.is_explained(), explained, "{x}: {why}");
+        }
+    }
 }

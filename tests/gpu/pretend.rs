@@ -1,10 +1,12 @@
 //! The CPU in the place of a GPU, faithful or with an error that is built in; and the harness held to both.
 
 use super::judge::{TBound, Why};
+use super::rays::single_precision;
 use super::{Other, check, compare, whole};
 use crate::stage::{Stage, View, chalk, directional_light, glass, look, mirror, point_light};
 use rayon::prelude::*;
 use tessera_geometry::{Hit, LocalCamera, Ray, Vec3};
+use tessera_kdtree::Triangles;
 use tessera_pack::{Material, MaterialFlags, Pack};
 use tessera_whitted::{FrameParams, PixelBlock, PixelFormat, Probe, Renderer};
 
@@ -124,6 +126,74 @@ fn a_digit_is_explained_and_ten_thousandths_are_not() {
     assert!(report.findings.iter().all(|finding| finding.why == Why::WrongRay), "{report}");
     // Also where it took the same triangles: the ray is another one.
     assert!(report.faults().len() >= 2, "{:?}", report.faults());
+}
+
+/// The CPU with the hits of a kernel that computes distances and weights in `f32`.
+pub struct Single;
+
+impl Single {
+    /// `params` and rays are the CPU's; what they meet is where `f32` has it.
+    fn rays(renderer: &Renderer<'_>, pack: &Pack, params: &FrameParams, (x, y): (u32, u32)) -> Vec<Probe> {
+        let mesh = pack.mesh();
+        renderer.probe_with(params, x, y, 0, |probe| {
+            let mut hit = renderer.hit(probe)?;
+            if probe.kind == Probe::OPAQUE {
+                return Some(hit);
+            }
+            // It began where f32 had the last surface, which may be before it.
+            if hit.triangle == probe.after_triangle {
+                hit = renderer.hit(&Probe { t_min: hit.t, ..*probe })?;
+            }
+            let located = single_precision(&probe.ray(), mesh.vertices(hit.triangle));
+            // Continuations go on behind the distance that was said before.
+            let (t, b1, b2) = located.filter(|(t, ..)| *t > probe.t_min).unwrap_or((hit.t, hit.b1, hit.b2));
+            Some(Hit { t, b1, b2, ..hit })
+        })
+    }
+}
+
+impl Other for Single {
+    fn name(&self) -> String {
+        "CPU in single precision".into()
+    }
+
+    fn t_bound(&self) -> TBound {
+        TBound::SINGLE
+    }
+
+    fn triangles_max(&self) -> u32 {
+        300_000
+    }
+
+    /// As the CPU's: its pictures say nothing of hits.
+    fn frame(&self, pack: &Pack, params: &FrameParams) -> Vec<u8> {
+        frame(pack, params)
+    }
+
+    fn signatures(&self, pack: &Pack, params: &FrameParams) -> Vec<u32> {
+        let renderer = Renderer::new(pack);
+        let signature = |i: u32| {
+            let pixel = (i % params.width, i / params.width);
+            Probe::signature(&Self::rays(&renderer, pack, params, pixel))
+        };
+        (0..params.width * params.height).into_par_iter().map(signature).collect()
+    }
+
+    fn probes(&self, pack: &Pack, params: &FrameParams, pixels: &[(u32, u32)]) -> Vec<Vec<Probe>> {
+        let renderer = Renderer::new(pack);
+        pixels.iter().map(|&pixel| Self::rays(&renderer, pack, params, pixel)).collect()
+    }
+
+    fn hits(&self, pack: &Pack, rays: &[Ray]) -> Vec<Option<Hit>> {
+        Cpu::faithful().hits(pack, rays)
+    }
+}
+
+/// Origins, normals and directions that follow from single-precision hits stay within their bounds, ray by ray.
+#[test]
+fn paths_of_single_precision_are_explained() {
+    let (pack, params) = small();
+    check("single precision", &pack, &params, &Single);
 }
 
 /// Swaps the triangles of two rays of every hundredth path.

@@ -1,19 +1,20 @@
 //! Single rays: those of [`crate::rays`], kind and unkind, and those of [`crate::leaks`], which must not slip through.
 
 use super::judge::{Bare, Finding, Sight, TBound, differ};
-use super::{Other, with_other};
-use crate::kinds::Random;
+use super::{Other, with_every};
+use crate::kinds::{Random, Soup, split_planes, unkind_ray};
 use crate::leaks::{Sharing, aimed, meshes, prepare};
 use crate::rays::Subject;
 use crate::support::scene_folder;
 use std::time::Duration;
 use tessera_geometry::rounding::UNIT_ROUNDOFF;
 use tessera_geometry::{CameraPose, Hit, Ray};
+use tessera_kdtree::Triangles;
 use tessera_master::prepare::{PrepareOptions, prepare_scene};
 use tessera_pack::Pack;
 use tessera_scene::generate::{Kind, Recipe, generate};
 use tessera_scene::{LoadOptions, Scene};
-use tessera_whitted::Probe;
+use tessera_whitted::{FrameParams, Probe};
 
 /// Rays a scene.
 const RAYS: usize = 100_000;
@@ -122,7 +123,7 @@ fn check_scene(scene: Scene, other: &dyn Other) {
 
 #[test]
 fn rays_of_generated_scenes() {
-    with_other(|other| {
+    with_every(|other| {
         for kind in [Kind::Hall, Kind::Plant, Kind::City] {
             check_scene(generate(&Recipe { kind, triangles: 20_000, seed: 1 }).expect("in range"), other);
         }
@@ -131,7 +132,7 @@ fn rays_of_generated_scenes() {
 
 #[test]
 fn rays_of_real_scenes() {
-    with_other(|other| {
+    with_every(|other| {
         let Some(folder) = scene_folder() else { return };
         for file in ["stanford_bunny/bun_zipper.ply", "crytek_sponza/sponza.gltf"] {
             let options = LoadOptions { scenes_folder: Some(folder.clone()) };
@@ -142,7 +143,7 @@ fn rays_of_real_scenes() {
 
 #[test]
 fn h14_h15_no_ray_leaks_on_the_gpu() {
-    with_other(|other| {
+    with_every(|other| {
         for closed in meshes() {
             for sharing in [Sharing::Welded, Sharing::Unwelded, Sharing::SplitByUv] {
                 let place = (1.0, 0.0);
@@ -179,7 +180,7 @@ fn bounds_of_single_precision_hold_where_it_is_simulated() {
         let target =
             vertices[0] + (vertices[1] - vertices[0]) * u + (vertices[2] - vertices[0]) * (v * (1.0 - u));
         let ray = Ray { origin, direction: (target - origin).normalize(), t_min: 0.0, t_max: f32::INFINITY };
-        let Some(t) = single_precision_distance(&ray, vertices) else { continue };
+        let Some((t, ..)) = single_precision(&ray, vertices) else { continue };
         let sight = Sight::new(&ray, vertices);
         worst = worst.max((f64::from(t) - sight.t).abs() / TBound::SINGLE.allows(&sight));
         seen += 1;
@@ -188,8 +189,75 @@ fn bounds_of_single_precision_hold_where_it_is_simulated() {
     println!("{worst} of the bound at most, {seen} hits");
 }
 
-/// Woop's interpolated distance.
-fn single_precision_distance(ray: &Ray, vertices: [tessera_geometry::Vec3; 3]) -> Option<f32> {
+/// Tests every triangle in `f32`.
+struct Single;
+
+impl Other for Single {
+    fn name(&self) -> String {
+        "single precision".into()
+    }
+
+    fn t_bound(&self) -> TBound {
+        TBound::SINGLE
+    }
+
+    fn triangles_max(&self) -> u32 {
+        3000
+    }
+
+    fn frame(&self, _: &Pack, _: &FrameParams) -> Vec<u8> {
+        Vec::new()
+    }
+
+    fn signatures(&self, _: &Pack, _: &FrameParams) -> Vec<u32> {
+        Vec::new()
+    }
+
+    fn probes(&self, _: &Pack, _: &FrameParams, _: &[(u32, u32)]) -> Vec<Vec<Probe>> {
+        Vec::new()
+    }
+
+    fn hits(&self, pack: &Pack, rays: &[Ray]) -> Vec<Option<Hit>> {
+        let mesh = pack.mesh();
+        let soup: Vec<_> = (0..pack.triangle_count()).map(|id| mesh.vertices(id)).collect();
+        let nearest = |ray: &Ray| {
+            let mut best: Option<Hit> = None;
+            for (triangle, vertices) in (0..).zip(&soup) {
+                let Some((t, b1, b2)) = single_precision(ray, *vertices) else { continue };
+                let hit = Hit { t, triangle, b1, b2 };
+                if best.as_ref().is_none_or(|best| hit.precedes(best)) {
+                    best = Some(hit);
+                }
+            }
+            best
+        };
+        rays.iter().map(|ray| if ray.is_traceable() { nearest(ray) } else { None }).collect()
+    }
+}
+
+/// What a GPU without `f64` will say is explained; what it says of another mesh is not.
+#[test]
+fn hits_in_single_precision_are_explained() {
+    for closed in meshes() {
+        let place = (1.0, 0.0);
+        let pack = prepare(&closed, Sharing::Welded, place, false, 2).pack;
+        let mut rays: Vec<Ray> = (0..3000).map(aimed(&closed, place, &pack)).collect();
+        rays.extend(unkind(&pack, 3000));
+        check_rays(closed.name, &pack, &rays, &Single);
+    }
+}
+
+/// So many unkind rays.
+fn unkind(pack: &Pack, count: usize) -> Vec<Ray> {
+    let mesh = pack.mesh();
+    let soup = Soup((0..pack.triangle_count()).map(|id| mesh.vertices(id)).collect());
+    let planes = split_planes(pack.tree().slots);
+    let mut random = Random(9);
+    (0..count).map(|i| unkind_ray(i, &mut random, &soup, &planes)).collect()
+}
+
+/// Woop's test with its interpolated distance, and weights.
+pub fn single_precision(ray: &Ray, vertices: [tessera_geometry::Vec3; 3]) -> Option<(f32, f32, f32)> {
     let d = ray.direction.to_array();
     let kz = ray.direction.abs().max_position();
     let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
@@ -199,7 +267,8 @@ fn single_precision_distance(ray: &Ray, vertices: [tessera_geometry::Vec3; 3]) -
     let cross = |p: [f32; 2], q: [f32; 2]| p[0] * q[1] - p[1] * q[0];
     let w = [cross(flat[2], flat[1]), cross(flat[0], flat[2]), cross(flat[1], flat[0])];
     let sum = w[0] + w[1] + w[2];
-    let is_hit = w.iter().all(|w| *w > 0.0) || w.iter().all(|w| *w < 0.0);
+    let is_hit = w.iter().all(|w| *w >= 0.0) || w.iter().all(|w| *w <= 0.0);
     let t = (w[0] * (sz * p[0][kz]) + w[1] * (sz * p[1][kz]) + w[2] * (sz * p[2][kz])) / sum;
-    (is_hit && t > 0.0).then_some(t)
+    let b1 = (w[1] / sum).clamp(0.0, 1.0);
+    (is_hit && t > ray.t_min && t <= ray.t_max).then(|| (t, b1, (w[2] / sum).clamp(0.0, 1.0).min(1.0 - b1)))
 }

@@ -1,6 +1,6 @@
 //! One frame of each scene: the demo, every generator, the scene files and the sample scenes whose sources are there.
 
-use super::{Other, check, with_other};
+use super::{Other, check, with_every, with_other};
 use crate::scenes::LARGE;
 use crate::support::{root, scene_folder, skipped};
 use std::ffi::OsStr;
@@ -58,7 +58,7 @@ fn check_file(path: &Path, folder: Option<PathBuf>, other: &dyn Other) {
 
 #[test]
 fn demo() {
-    with_other(|other| check_file(&root().join("scenes/hall.toml"), None, other));
+    with_every(|other| check_file(&root().join("scenes/hall.toml"), None, other));
 }
 
 #[test]

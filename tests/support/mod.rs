@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
+use tessera_worker::gpu::{GpuOptions, TestPolicy, probe::GpuProbe};
 
 /// Longest wait for a line of output, or for the end. No run takes a tenth of it on a slow machine; what takes longer hangs.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -303,21 +304,11 @@ pub fn skipped(why: impl std::fmt::Display) {
     let _ = writeln!(std::io::stderr(), "SKIPPED: {why}");
 }
 
-/// Whether there is a GPU, or a driver that plays one, to test with. `TESSERA_GPU=require` fails without one, `allow` (the default) and
-/// `off` say that nothing is tested.
-pub fn has_gpu() -> bool {
-    use std::io::Write;
-    let asked = std::env::var("TESSERA_GPU").unwrap_or_else(|_| "allow".into());
-    let is_there = || tessera_worker::adapters().iter().any(|adapter| adapter.unusable.is_none());
-    let why = match asked.as_str() {
-        "require" | "allow" if is_there() => return true,
-        "require" => panic!("TESSERA_GPU=require, and there is no adapter"),
-        "allow" => "no adapter",
-        _ => "TESSERA_GPU is neither `require` nor `allow`",
-    };
-    // As for `skipped`.
-    let _ = writeln!(std::io::stderr(), "GPU tests skipped: {why}");
-    false
+/// A GPU to test with, or a driver that plays one, as `TESSERA_GPU` says; `pretend` is for other tests.
+pub fn gpu() -> Option<GpuProbe> {
+    let is_pretended = std::env::var("TESSERA_GPU").is_ok_and(|asked| asked == "pretend");
+    let policy = if is_pretended { TestPolicy::Off } else { TestPolicy::from_env().expect("TESSERA_GPU") };
+    policy.open(GpuOptions::default()).expect("TESSERA_GPU=require, and there is none")
 }
 
 /// Two triangles that face +z, one of them higher.

@@ -14,13 +14,13 @@ pub struct BackendArgs {
     /// auto takes the GPU where there is a real one and it is the faster on a small scene, else the CPU; gpu fails where there is none.
     /// Pictures of one GPU, driver and program are equal bit for bit, and so are those of all CPUs; `tessera doctor` lists both, and
     /// `tessera compare` says how far two pictures differ.
-    #[arg(long, value_name = "BACKEND", value_enum, default_value_t, help_heading = "Cluster")]
+    #[arg(long, value_name = "BACKEND", value_enum, default_value_t, help_heading = "Rendering")]
     pub backend: BackendFlag,
     /// Which GPU: its number in `tessera doctor`, or a part of its name [default: the best]
-    #[arg(long, value_name = "NAME|INDEX", value_parser = NonEmptyStringValueParser::new(), help_heading = "Cluster")]
+    #[arg(long, value_name = "NAME|INDEX", value_parser = NonEmptyStringValueParser::new(), help_heading = "Rendering")]
     pub gpu: Option<String>,
     /// How a CPU traces rays; the picture is the same
-    #[arg(long, value_name = "KERNEL", value_enum, default_value_t, help_heading = "Cluster")]
+    #[arg(long, value_name = "KERNEL", value_enum, default_value_t, help_heading = "Rendering")]
     pub kernel: KernelChoice,
 }
 

@@ -40,7 +40,7 @@ fn connections_that_are_over_are_forgotten() {
     assert_eq!(coordinator.worn.len(), 0);
 }
 
-/// Workers that hold every pack on offer at once, and render when they are told to; each class has pixels of its own.
+/// Workers that hold every pack on offer at once, unless they are of class `small`, and render when they are told to; each class has pixels of its own.
 struct Fleet {
     master: Coordinator,
     now: Duration,
@@ -109,6 +109,10 @@ impl Fleet {
         let Some(hand) = self.crew.get_mut(&worker) else { return };
         match message {
             ToWorker::PackOffer { pack, .. } => {
+                if hand.class == "small" {
+                    let reason = PackRefusal::CannotHold { needs: 10, has: 9, what: "the GPU x".into() };
+                    return self.master.message(worker, ToMaster::PackRejected { pack, reason }, self.now);
+                }
                 let answers = [ToMaster::PackNeed { pack, have: true }, ToMaster::PackReady { pack }];
                 answers.into_iter().for_each(|answer| self.master.message(worker, answer, self.now));
             }
@@ -145,10 +149,12 @@ impl Fleet {
 
     /// Everybody renders in turn until nobody has anything.
     fn run(&mut self) {
-        let ids = || self.crew.keys().copied().collect::<Vec<_>>();
-        let mut ids = ids();
-        while ids.iter().fold(false, |any, &worker| self.step(worker) || any) {
-            ids = self.crew.keys().copied().collect();
+        let mut is_busy = true;
+        while is_busy {
+            is_busy = false;
+            for worker in self.crew.keys().copied().collect::<Vec<_>>() {
+                is_busy |= self.step(worker);
+            }
         }
     }
 
@@ -227,6 +233,23 @@ fn one_class_alone_is_nothing_to_speak_of() {
     assert!(!fleet.events.iter().any(|event| matches!(event, Event::ClassChosen { .. })));
     fleet.run();
     assert_eq!(fleet.finish().idle, 0);
+}
+
+#[test]
+fn a_class_that_cannot_hold_the_pack_is_not_chosen_and_says_why() {
+    let mut fleet = Fleet::new(Duration::ZERO, &[("small", 1000), ("cpu", 1)]);
+    let told = fleet.events.iter().find_map(|event| match event {
+        Event::PackRejected(worker, reason) => Some((*worker, reason.to_string())),
+        _ => None,
+    });
+    let says = "the GPU x can hold 9 bytes, the scene needs 10";
+    assert!(told.is_some_and(|(worker, reason)| worker == WorkerId(0) && reason.starts_with(says)));
+    fleet.begin(false, Balance::Dynamic);
+    fleet.run();
+    let outcome = fleet.finish();
+    assert_eq!((Fleet::codes(&outcome), outcome.idle), (BTreeSet::from([code("cpu")]), 0));
+    let rejected: Vec<_> = outcome.workers.iter().filter_map(|w| w.rejected.as_deref()).collect();
+    assert!(matches!(rejected[..], [reason] if reason.starts_with(says)), "{rejected:?}");
 }
 
 #[test]

@@ -1,8 +1,8 @@
 // A stack of its own for every ray, as deep as a tree may be: the oracle of stack_short.wgsl.
 
-var<private> waiting_at: array<u32, 64>;
-var<private> waiting_t0: array<f32, 64>;
-var<private> waiting_t1: array<f32, 64>;
+var<private> waiting_at: array<u32, MAX_DEPTH>;
+var<private> waiting_t0: array<f32, MAX_DEPTH>;
+var<private> waiting_t1: array<f32, MAX_DEPTH>;
 var<private> waiting: u32;
 
 fn stack_clear() {

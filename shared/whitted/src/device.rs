@@ -28,18 +28,18 @@ pub const WGSL: [&str; 11] = [
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct BackdropInfo {
-    up: [f32; 3],
-    kind: u32,
-    zenith: [f32; 3],
-    image: u32,
-    horizon: [f32; 3],
-    gap_a: u32,
-    nadir: [f32; 3],
-    gap_b: u32,
-    ahead: [f32; 3],
-    gap_c: u32,
-    right: [f32; 3],
-    gap_d: u32,
+    pub(crate) up: [f32; 3],
+    pub(crate) kind: u32,
+    pub(crate) zenith: [f32; 3],
+    pub(crate) image: u32,
+    pub(crate) horizon: [f32; 3],
+    pub(crate) gap_a: u32,
+    pub(crate) nadir: [f32; 3],
+    pub(crate) gap_b: u32,
+    pub(crate) ahead: [f32; 3],
+    pub(crate) gap_c: u32,
+    pub(crate) right: [f32; 3],
+    pub(crate) gap_d: u32,
 }
 
 const _: () = assert!(size_of::<BackdropInfo>() == 96);
@@ -48,37 +48,37 @@ const _: () = assert!(size_of::<BackdropInfo>() == 96);
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct SceneInfo {
-    root_min: [f32; 3],
-    light_count: u32,
-    root_max: [f32; 3],
-    material_run_count: u32,
-    bias: [f32; 3],
-    id_run_count: u32,
-    ambient: [f32; 3],
-    side_uv_count: u32,
-    at_list: u32,
-    at_faces: u32,
-    at_records: u32,
-    at_cells: u32,
-    at_positions: u32,
-    at_normals: u32,
-    at_uvs: u32,
-    at_side_uvs: u32,
-    at_colors: u32,
-    at_material_runs: u32,
-    at_id_runs: u32,
-    at_materials: u32,
-    at_textures: u32,
-    at_texels: u32,
-    at_lights: u32,
-    at_normal_table: u32,
-    at_srgb: u32,
-    at_thresholds: u32,
-    step_mantissa: f32,
-    step_rest: f32,
-    step_power: f32,
-    reserved: [u32; 3],
-    backdrop: BackdropInfo,
+    pub(crate) root_min: [f32; 3],
+    pub(crate) light_count: u32,
+    pub(crate) root_max: [f32; 3],
+    pub(crate) material_run_count: u32,
+    pub(crate) bias: [f32; 3],
+    pub(crate) id_run_count: u32,
+    pub(crate) ambient: [f32; 3],
+    pub(crate) side_uv_count: u32,
+    pub(crate) at_list: u32,
+    pub(crate) at_faces: u32,
+    pub(crate) at_records: u32,
+    pub(crate) at_cells: u32,
+    pub(crate) at_positions: u32,
+    pub(crate) at_normals: u32,
+    pub(crate) at_uvs: u32,
+    pub(crate) at_side_uvs: u32,
+    pub(crate) at_colors: u32,
+    pub(crate) at_material_runs: u32,
+    pub(crate) at_id_runs: u32,
+    pub(crate) at_materials: u32,
+    pub(crate) at_textures: u32,
+    pub(crate) at_texels: u32,
+    pub(crate) at_lights: u32,
+    pub(crate) at_normal_table: u32,
+    pub(crate) at_srgb: u32,
+    pub(crate) at_thresholds: u32,
+    pub(crate) step_mantissa: f32,
+    pub(crate) step_rest: f32,
+    pub(crate) step_power: f32,
+    pub(crate) reserved: [u32; 3],
+    pub(crate) backdrop: BackdropInfo,
 }
 
 const _: () = assert!(size_of::<SceneInfo>() == 256);
@@ -184,20 +184,20 @@ pub fn code_thresholds() -> [f32; 256] {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct FrameInfo {
-    eye: [f32; 3],
-    width: u32,
-    forward: [f32; 3],
-    height: u32,
-    right: [f32; 3],
-    samples: u32,
-    up: [f32; 3],
-    max_depth: u32,
-    seed_low: u32,
-    seed_high: u32,
-    features: u32,
-    format: u32,
-    zero: u32,
-    reserved: [u32; 3],
+    pub(crate) eye: [f32; 3],
+    pub(crate) width: u32,
+    pub(crate) forward: [f32; 3],
+    pub(crate) height: u32,
+    pub(crate) right: [f32; 3],
+    pub(crate) samples: u32,
+    pub(crate) up: [f32; 3],
+    pub(crate) max_depth: u32,
+    pub(crate) seed_low: u32,
+    pub(crate) seed_high: u32,
+    pub(crate) features: u32,
+    pub(crate) format: u32,
+    pub(crate) zero: u32,
+    pub(crate) reserved: [u32; 3],
 }
 
 const _: () = assert!(size_of::<FrameInfo>() == 96);
@@ -293,7 +293,7 @@ mod tests {
         for step in [1.0, 0.1, 1.5e-7, 3e12, 1.0 - f64::EPSILON, 1e-36, 1e38] {
             let [mantissa, rest, power] = step_parts(step).map(f64::from);
             let back = (mantissa + rest) * power;
-            assert!((back - step).abs() <= step * 2.0f64.powi(-48), "{step}: {back}");
+            assert!((back - step).abs() <= step * libm::exp2(-48.0), "{step}: {back}");
             assert!((1.0..=2.0).contains(&mantissa));
         }
         assert_eq!(step_parts(1e-300)[2], f32::MIN_POSITIVE);

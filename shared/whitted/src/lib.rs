@@ -17,6 +17,7 @@
 //! | `environment.rs`, `texture.rs`, `color.rs` | misses, look-ups, sRGB |
 //! | `scene.rs` | a pack made ready |
 //! | [`device`], [`variant`] | the same for GPUs: what kernels are told, and which kernel a scene needs |
+//! | [`twins`] | what the kernels' text must agree with |
 
 mod color;
 pub mod device;
@@ -32,6 +33,7 @@ mod scene;
 pub mod shade;
 mod surface;
 mod texture;
+pub mod twins;
 pub mod variant;
 
 pub use frame::{Features, FrameParams, PixelFormat, RayCounts};

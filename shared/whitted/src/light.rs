@@ -22,7 +22,7 @@ pub(crate) struct Incoming {
 }
 
 /// Bound of an irradiance, so that a light almost at the surface stays finite in all sums.
-const MAX_IRRADIANCE: f32 = (1u64 << 63) as f32;
+pub(crate) const MAX_IRRADIANCE: f32 = (1u64 << 63) as f32;
 
 /// What `light` brings to `origin`; `None` when that is nothing. `step` is the world length of a local unit.
 pub(crate) fn incoming(light: &Light, origin: Vec3, step: f64) -> Option<Incoming> {

@@ -92,19 +92,28 @@ impl Probe {
     fn answered(self, hit: Option<&Hit>) -> Self {
         match hit {
             None => Self { triangle: Hit::NO_TRIANGLE, t: 0.0, ..self },
+            Some(_) if self.kind == Self::OPAQUE => Self { triangle: 0, t: 0.0, ..self },
             Some(hit) => Self { triangle: hit.triangle, t: hit.t, ..self },
         }
-    }
-
-    fn blocked(self, blocked: bool) -> Self {
-        Self { triangle: if blocked { 0 } else { Hit::NO_TRIANGLE }, t: 0.0, ..self }
     }
 }
 
 impl Renderer<'_> {
     /// Every ray of one sample of the pixel `(x, y)`, in order.
     pub fn probe(&self, params: &FrameParams, x: u32, y: u32, sample: u32) -> Vec<Probe> {
-        let mut recorder = Recorder { rays: Vec::new() };
+        self.probe_with(params, x, y, sample, |ray| self.hit(ray))
+    }
+
+    /// [`Renderer::probe`] with another kernel: `hit` says what a ray meets, of a ray for anything opaque whether that is anything.
+    pub fn probe_with(
+        &self,
+        params: &FrameParams,
+        x: u32,
+        y: u32,
+        sample: u32,
+        hit: impl FnMut(&Probe) -> Option<Hit>,
+    ) -> Vec<Probe> {
+        let mut recorder = Recorder { rays: Vec::new(), hit };
         let eye = eye_ray(params, x, y, sample);
         trace_singly(self, params, &eye, &mut RayCounts::default(), &mut recorder);
         recorder.rays
@@ -112,11 +121,16 @@ impl Renderer<'_> {
 
     /// `probe`'s ray with the answer that this renderer gives.
     pub fn answer(&self, probe: &Probe) -> Probe {
+        probe.answered(self.hit(probe).as_ref())
+    }
+
+    /// What this renderer meets on the ray of `probe`; some hit when that is anything opaque on the way to a light.
+    pub fn hit(&self, probe: &Probe) -> Option<Hit> {
         let ray = probe.ray();
         match probe.kind {
-            Probe::LOOK => probe.answered(nearest_seen(self, &ray, probe.after()).as_ref()),
-            Probe::LAYER => probe.answered(nearest(self, &ray, probe.after()).as_ref()),
-            _ => probe.blocked(light::is_blocked(self, &ray)),
+            Probe::LOOK => nearest_seen(self, &ray, probe.after()),
+            Probe::LAYER => nearest(self, &ray, probe.after()),
+            _ => light::is_blocked(self, &ray).then_some(Hit { t: 0.0, triangle: 0, b1: 0.0, b2: 0.0 }),
         }
     }
 }
@@ -175,27 +189,31 @@ impl Tracer for Direct {
     }
 }
 
-/// Traces and writes down.
-struct Recorder {
+/// Writes down what a kernel answers.
+struct Recorder<H> {
     rays: Vec<Probe>,
+    hit: H,
 }
 
-impl Tracer for Recorder {
-    fn look(&mut self, scene: &Renderer<'_>, ray: &mut Ray, after: After) -> Option<Hit> {
-        let hit = Direct.look(scene, ray, after);
-        self.rays.push(Probe::unanswered(Probe::LOOK, ray, after).answered(hit.as_ref()));
+impl<H: FnMut(&Probe) -> Option<Hit>> Recorder<H> {
+    fn ask(&mut self, kind: u32, ray: &Ray, after: After) -> Option<Hit> {
+        let asked = Probe::unanswered(kind, ray, after);
+        let hit = (self.hit)(&asked);
+        self.rays.push(asked.answered(hit.as_ref()));
         hit
     }
+}
 
-    fn is_blocked(&mut self, scene: &Renderer<'_>, ray: &Ray) -> bool {
-        let blocked = Direct.is_blocked(scene, ray);
-        self.rays.push(Probe::unanswered(Probe::OPAQUE, ray, After::start(ray.t_min)).blocked(blocked));
-        blocked
+impl<H: FnMut(&Probe) -> Option<Hit>> Tracer for Recorder<H> {
+    fn look(&mut self, _: &Renderer<'_>, ray: &mut Ray, after: After) -> Option<Hit> {
+        self.ask(Probe::LOOK, ray, after)
     }
 
-    fn layer(&mut self, scene: &Renderer<'_>, ray: &Ray, after: After) -> Option<Hit> {
-        let hit = Direct.layer(scene, ray, after);
-        self.rays.push(Probe::unanswered(Probe::LAYER, ray, after).answered(hit.as_ref()));
-        hit
+    fn is_blocked(&mut self, _: &Renderer<'_>, ray: &Ray) -> bool {
+        self.ask(Probe::OPAQUE, ray, After::start(ray.t_min)).is_some()
+    }
+
+    fn layer(&mut self, _: &Renderer<'_>, ray: &Ray, after: After) -> Option<Hit> {
+        self.ask(Probe::LAYER, ray, after)
     }
 }

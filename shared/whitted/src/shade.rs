@@ -79,7 +79,7 @@ pub(crate) struct Terms {
 }
 
 /// Greatest exponent of a highlight.
-const MAX_EXPONENT: f32 = 1024.0;
+pub(crate) const MAX_EXPONENT: f32 = 1024.0;
 
 /// 2^-64: what a light sends back below it is nothing, and its shadow is not asked for. No pixel shows it; and a far highlight that a
 /// device without subnormal numbers takes for 0 (below 2^-126, before a factor of at most 42 and an irradiance of less than 2^50) is below it

@@ -78,11 +78,13 @@ pub(crate) fn meets_front(normal: Vec3, direction: Vec3) -> bool {
     direction.dot(normal) <= 0.0
 }
 
+/// By how much a shading normal is seen at least.
+pub(crate) const LEAST_COSINE: f32 = 1.0 / 1024.0;
+
 /// A shading normal that faces away from the viewer, as happens beside the silhouette of a coarse mesh, leans back
 /// until it is just seen: by 2^-10, far above the 2^-22 by which the cosine is rounded, and less than a tenth of a
 /// degree.
 fn lean_to_viewer(normal: Vec3, view: Vec3) -> Vec3 {
-    const LEAST_COSINE: f32 = 1.0 / 1024.0;
     let cosine = normal.dot(view);
     if cosine >= LEAST_COSINE { normal } else { (normal + view * (LEAST_COSINE - cosine)).normalize() }
 }

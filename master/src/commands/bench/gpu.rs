@@ -357,7 +357,7 @@ impl Peer<'_> {
 fn described(task: &Task) -> String {
     let Task { what, packing: Packing { plain, refs }, gpu } = task;
     let vertices = if *plain { "plain" } else { "quantised" };
-    let who = gpu.map_or("the CPU".into(), |GpuOptions { form, f64, lean }| {
+    let who = gpu.map_or("the CPU".into(), |GpuOptions { form, f64, lean, .. }| {
         let (precision, kernel) = (if f64 { "f64" } else { "f32" }, if lean { "lean" } else { "full" });
         format!("the GPU ({}, {precision}, {kernel})", form.name())
     });

@@ -1,6 +1,6 @@
 //! No surface sends back more than it gets, and what it must send back arrives.
 
-use crate::support::*;
+use crate::support::{stages::*, *};
 use tessera_pack::{Material, MaterialFlags};
 
 /// Pixels of a ball of `material` in an environment of radiance 1 with ambient light of 1.
@@ -52,11 +52,7 @@ fn no_material_gains_energy() {
 #[test]
 fn facing_mirrors_sum_a_geometric_series() {
     let k = 0.75f32;
-    let shining = Material { emissive: [0.5; 3], ..mirror(k) };
-    let mut stage = Stage::default();
-    stage.quad([-1.0, -1.0, -2.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], shining);
-    stage.quad([-1.0, -1.0, 2.0], [0.0, 2.0, 0.0], [2.0, 0.0, 0.0], shining);
-    let pack = stage.pack();
+    let pack = facing_mirrors(k).pack();
     for max_depth in [0, 1, 2, 7, 15] {
         let view = View { max_depth, ..look([0.1, 0.2, 0.0], [0.1, 0.2, -1.0]) };
         let (pixels, counts) = view.layers(&pack);
@@ -73,10 +69,7 @@ fn facing_mirrors_sum_a_geometric_series() {
 #[test]
 fn light_caught_in_glass_ends_at_the_depth_limit() {
     // At 45 degrees to the faces, beyond the critical angle of 41.8, the ray runs around inside the cube for ever.
-    let mut stage = Stage::default();
-    stage.cuboid([-1.0; 3], [1.0; 3], glass(1.5));
-    stage.surround();
-    let pack = stage.pack();
+    let pack = glass_cube().pack();
     for max_depth in [0, 1, 5, 32] {
         let view = View { max_depth, ..look([0.1, 0.0, 0.0], [1.1, 1.0, 0.0]) };
         let (pixels, counts) = view.layers(&pack);

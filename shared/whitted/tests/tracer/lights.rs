@@ -1,6 +1,6 @@
 //! Lights, shadows, and what a shadow ray passes, against values worked out by hand.
 
-use crate::support::*;
+use crate::support::{stages::*, *};
 use std::f32::consts::PI;
 use tessera_geometry::Vec3;
 use tessera_pack::{ImageInput, Light, LightKind, Material, MaterialFlags};
@@ -237,17 +237,13 @@ fn a_plane_in_grazing_light_has_no_acne() {
 
 #[test]
 fn every_pixel_of_a_closed_box_is_hit_and_lit() {
-    let mut stage = Stage::default();
-    stage.cuboid([-1.0, -2.0, -3.0], [4.0, 3.0, 2.0], chalk());
-    stage.light(point_light([0.5, 0.4, -0.3], 1.0));
-    let pack = stage.pack();
-    for target in [[1.0, 0.0, 0.0], [-1.0, 0.3, 0.2], [0.0, -1.0, 0.0], [4.0, 3.0, 2.0]] {
-        let mut view = look([0.0, 0.0, 0.0], target).sized(80, 60);
-        view.pose.fov_degrees = 120.0;
+    let pack = closed_box().pack();
+    for view in views_in_box() {
         for (i, pixel) in view.layers(&pack).0.into_iter().enumerate() {
             assert!(
                 pixel.alpha == 1.0 && pixel.depth.is_finite() && pixel.color[0] > 0.0,
-                "{target:?} {i}: {pixel:?}"
+                "{:?} {i}: {pixel:?}",
+                view.pose.target
             );
         }
     }

@@ -1,43 +1,12 @@
 //! Paths written down ray by ray.
 
-use crate::support::*;
+use crate::support::{stages::bazaar, *};
 use tessera_geometry::Hit;
-use tessera_pack::{ImageInput, Material, MaterialFlags, Pack};
 use tessera_whitted::{PixelFormat, Probe, RayCounts, Renderer};
-
-/// Everything that sends rays: a mirror floor, a glass ball, a pane, a veil, a sheet with holes, a one-sided card, three lights.
-fn bazaar() -> Pack {
-    let mut stage = Stage::default();
-    stage.input.textures = vec![ImageInput {
-        width: 8,
-        height: 8,
-        rgba: (0..256).map(|i| (i * 37 % 256) as u8).collect(),
-        ..ImageInput::default()
-    }];
-    let veil = Material {
-        base_color: [0.2, 0.5, 0.9, 0.5],
-        flags: MaterialFlags::ALPHA_BLEND | MaterialFlags::DOUBLE_SIDED,
-        ..chalk()
-    };
-    let masked = Material { base_texture: 0, flags: MaterialFlags::ALPHA_MASK, ..chalk() };
-    let pane = Material { flags: MaterialFlags::THIN_WALLED, ..glass(1.5) };
-    stage.quad([-4.0, -1.0, -4.0], [0.0, 0.0, 8.0], [8.0, 0.0, 0.0], mirror(0.7));
-    stage.ball([-1.0, 0.0, 0.0], 0.9, 8, glass(1.5));
-    stage.quad([0.2, -0.9, 0.5], [1.0, 0.0, 0.2], [0.0, 1.5, 0.0], pane);
-    stage.quad([0.6, -0.5, 0.9], [1.0, 0.0, -0.2], [0.0, 1.5, 0.0], veil);
-    stage.quad([-2.0, 0.8, -1.0], [4.0, 0.0, 0.0], [0.0, 0.3, 2.0], masked);
-    stage.quad([1.4, -0.8, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], one_sided(chalk()));
-    stage.cuboid([-3.5, -1.0, -3.0], [3.5, 1.0, -2.5], chalk());
-    stage.light(point_light([1.0, 2.5, 2.0], 20.0));
-    stage.light(directional_light([0.2, -1.0, -0.3], 1.0));
-    stage.light(point_light([-3.0, 0.2, 2.0], 6.0));
-    stage.surround();
-    stage.pack()
-}
 
 #[test]
 fn what_is_written_down_is_what_is_rendered() {
-    let pack = bazaar();
+    let pack = bazaar().pack();
     let renderer = Renderer::new(&pack);
     for samples in [1, 4] {
         let view = View { samples, ..look([0.3, 0.6, 5.0], [0.0; 3]).sized(48, 40) };
@@ -96,7 +65,7 @@ fn a_signature_is_of_kinds_and_triangles_in_their_order() {
 /// A path that could not be this renderer's ends where it leaves it.
 #[test]
 fn a_replay_stops_where_another_kind_of_ray_should_stand() {
-    let pack = bazaar();
+    let pack = bazaar().pack();
     let renderer = Renderer::new(&pack);
     let params = look([0.3, 0.6, 5.0], [0.0; 3]).sized(48, 40).params(&pack, PixelFormat::Layers);
     let rays = renderer.probe(&params, 14, 20, 0);

@@ -1,22 +1,13 @@
 //! Glass against optics.
 
-use crate::support::*;
+use crate::support::{stages::*, *};
 use tessera_geometry::{DVec3, Vec3};
-use tessera_pack::{ImageInput, Material, MaterialFlags, Pack};
+use tessera_pack::{Material, MaterialFlags, Pack};
 use tessera_whitted::PixelFormat;
-
-/// An unlit ruler in the plane `z`, from `x = -2` to 2.
-fn add_ruler(stage: &mut Stage, z: f64) {
-    stage.input.textures = vec![ruler()];
-    let material = Material { base_texture: 0, ..unlit([1.0; 3]) };
-    stage.quad([-4.0, -2.0, z], [8.0, 0.0, 0.0], [0.0, 4.0, 0.0], material);
-}
 
 /// Where the ray of a view meets the ruler.
 fn read_ruler(view: View, pack: &Pack) -> f64 {
-    let [r, g, _] = view.pixel(pack).color;
-    assert!(g > 0.1 && r > 0.0 && r < g, "off the ruler: {r} of {g}");
-    4.0 * (f64::from(r) / f64::from(g)) - 2.0
+    ruler_at(&view.pixel(pack))
 }
 
 #[test]
@@ -24,14 +15,8 @@ fn a_plate_shifts_a_ray_sideways() {
     let thickness = 0.4;
     for degrees in [0.0f64, 20.0, 60.0, 70.0] {
         let i = degrees.to_radians();
-        let direction = DVec3::new(libm::sin(i), 0.0, -libm::cos(i));
-        let eye = DVec3::new(0.013, 0.07, 0.5) - direction * 0.3;
         let read = |ior: f32| {
-            let mut stage = Stage::default();
-            add_ruler(&mut stage, -0.1);
-            stage.cuboid([-8.0, -1.0, 0.0], [8.0, 1.0, thickness], glass(ior));
-            let view = View { max_depth: 2, ..look(eye.to_array(), (eye + direction).to_array()) };
-            // Two refractions, no room for the images of inner reflections.
+            let (stage, view) = plate(thickness, ior, i);
             read_ruler(view, &stage.pack())
         };
         let n = 1.5;
@@ -63,10 +48,7 @@ fn a_glass_ball_focuses_half_a_radius_behind_itself() {
     // its middle.
     assert!(through_ball(0.01).abs() < 1e-5, "the formula itself");
     let worst = |rings: u32| {
-        let mut stage = Stage::default();
-        add_ruler(&mut stage, -1.5);
-        stage.ball([0.0; 3], 1.0, rings, glass(1.5));
-        let pack = stage.pack();
+        let pack = glass_ball(rings).pack();
         [0.02, 0.05, 0.11, 0.17].into_iter().fold(0.0f64, |worst, h| {
             let view = View { max_depth: 2, ..look([h, 0.003, 3.0], [h, 0.003, 0.0]) };
             worst.max((read_ruler(view, &pack) - through_ball(h)).abs())
@@ -80,34 +62,7 @@ fn a_glass_ball_focuses_half_a_radius_behind_itself() {
 
 #[test]
 fn glass_of_index_1_changes_no_bit() {
-    let scene = |with_glass: bool| {
-        let mut stage = Stage::default();
-        stage.input.textures = vec![ImageInput {
-            width: 8,
-            height: 8,
-            rgba: (0..256).map(|i| (i * 37 % 256) as u8).collect(),
-            ..ImageInput::default()
-        }];
-        stage.cuboid([-3.0; 3], [-2.0; 3], chalk());
-        stage.quad(
-            [-3.0, -3.0, -2.0],
-            [6.0, 0.0, 0.0],
-            [0.0, 5.0, 0.0],
-            Material { base_texture: 0, ..chalk() },
-        );
-        stage.quad([0.5, -2.0, -1.5], [1.0, 0.0, 0.5], [0.0, 3.0, 0.0], mirror(0.9));
-        stage.light(point_light([0.0, 3.0, 3.0], 40.0));
-        if with_glass {
-            stage.ball([0.0, 0.0, 0.0], 1.2, 12, glass(1.0));
-            stage.cuboid([-2.5, -2.5, 0.5], [0.5, 1.0, 0.9], glass(1.0));
-        } else {
-            // Keeps the bounds, and so the voxels, of both scenes equal.
-            stage.quad([3.0, 3.0, 2.9], [0.0, 0.0, 0.1], [0.0, 0.1, 0.0], chalk());
-        }
-        stage.quad([3.0, 3.0, 2.9], [0.0, 0.0, 0.1], [0.0, 0.1, 0.0], chalk());
-        stage.pack()
-    };
-    let (with, without) = (scene(true), scene(false));
+    let (with, without) = (index_1(true).pack(), index_1(false).pack());
     assert_eq!(with.frame(), without.frame());
     let view = look([0.0, 0.0, 6.0], [0.0; 3]).sized(48, 48);
     let (with, without) = (view.layers(&with).0, view.layers(&without).0);

@@ -1,5 +1,8 @@
 //! Small scenes, and frames of them as numbers.
 
+#[path = "stages.rs"]
+pub mod stages;
+
 use tessera_geometry::{CameraPose, DVec3};
 use tessera_pack::{
     BuildError, Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, MaterialFlags, Pack,

@@ -45,11 +45,13 @@ pub struct GpuOptions {
     pub f64: bool,
     /// Leave out what the scene does not need.
     pub lean: bool,
+    /// Take it that a binding holds no more bytes than these, whatever the device says: so tests have small scenes split over several.
+    pub binding_bytes_max: Option<u64>,
 }
 
 impl Default for GpuOptions {
     fn default() -> Self {
-        Self { form: TraversalForm::default(), f64: true, lean: true }
+        Self { form: TraversalForm::default(), f64: true, lean: true, binding_bytes_max: None }
     }
 }
 
@@ -79,6 +81,13 @@ pub(super) struct Chunks {
     pub(super) words_log2: u32,
 }
 
+impl Chunks {
+    /// The binding after those of the scene.
+    fn end(self) -> u32 {
+        SLOT_BINDING + self.slot_bindings + self.word_bindings
+    }
+}
+
 /// What a kernel does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Purpose {
@@ -91,7 +100,7 @@ pub(super) enum Purpose {
 }
 
 impl Purpose {
-    fn entry(self) -> &'static str {
+    pub(super) fn entry(self) -> &'static str {
         match self {
             Self::Render => "render",
             Self::Probe => "probe",
@@ -120,6 +129,8 @@ pub(super) fn text(key: &KernelKey) -> String {
         Purpose::Render => "fn record(query: Query, hit: Hit) {}\n",
         Purpose::Probe | Purpose::Rays => include_str!("probe.wgsl"),
     };
+    let end = key.chunks.end();
+    text = text.replace("PROBE_INPUT", &end.to_string()).replace("PROBE_OUTPUT", &(end + 1).to_string());
     let precision = if key.f64 { geometry::F64 } else { geometry::F32 };
     let stack = match key.form {
         TraversalForm::PrivateStack => kdtree::PRIVATE_STACK,
@@ -155,29 +166,28 @@ fn split(text: &mut String, (name, element): (&str, &str), first: u32, count: u3
     let _ = writeln!(text, "}}");
 }
 
+/// What each binding is, from 0 on.
+pub(super) fn binding_types(chunks: Chunks, purpose: Purpose) -> Vec<BufferBindingType> {
+    let uniform = BufferBindingType::Uniform;
+    let read = BufferBindingType::Storage { read_only: true };
+    let write = BufferBindingType::Storage { read_only: false };
+    let mut types = vec![uniform, uniform, read, write, write, write];
+    types.extend((SLOT_BINDING..chunks.end()).map(|_| read));
+    if purpose != Purpose::Render {
+        types.extend([read, write]);
+    }
+    types
+}
+
 /// The layout of the one bind group.
 pub(super) fn bind_group_layout(gpu: &Gpu, chunks: Chunks, purpose: Purpose) -> BindGroupLayout {
-    let entry = |binding: u32, ty: BufferBindingType| BindGroupLayoutEntry {
+    let entry = |(binding, ty)| BindGroupLayoutEntry {
         binding,
         visibility: ShaderStages::COMPUTE,
         ty: BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
         count: None,
     };
-    let read = BufferBindingType::Storage { read_only: true };
-    let write = BufferBindingType::Storage { read_only: false };
-    let mut entries = vec![
-        entry(0, BufferBindingType::Uniform),
-        entry(1, BufferBindingType::Uniform),
-        entry(2, read),
-        entry(3, write),
-        entry(4, write),
-        entry(5, write),
-    ];
-    let end = SLOT_BINDING + chunks.slot_bindings + chunks.word_bindings;
-    entries.extend((SLOT_BINDING..end).map(|binding| entry(binding, read)));
-    if purpose != Purpose::Render {
-        entries.extend([entry(end, read), entry(end + 1, write)]);
-    }
+    let entries: Vec<_> = (0..).zip(binding_types(chunks, purpose)).map(entry).collect();
     let descriptor = BindGroupLayoutDescriptor { label: None, entries: &entries };
     gpu.device().create_bind_group_layout(&descriptor)
 }
@@ -188,9 +198,7 @@ pub(super) fn compile(
     key: &KernelKey,
     layout: &BindGroupLayout,
 ) -> Result<(ComputePipeline, usize), GpuError> {
-    let end = SLOT_BINDING + key.chunks.slot_bindings + key.chunks.word_bindings;
-    let text =
-        text(key).replace("PROBE_INPUT", &end.to_string()).replace("PROBE_OUTPUT", &(end + 1).to_string());
+    let text = text(key);
     let length = text.len();
     let pipeline = gpu.try_make(|| {
         let source = ShaderSource::Wgsl(Cow::Owned(text));

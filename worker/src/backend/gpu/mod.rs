@@ -9,19 +9,24 @@
 //! | `pass.rs` | tiles cut into pieces of bounded work; pure |
 //! | `tiles.rs` | tiles on their way: submitted, awaited, read back |
 //! | `probe.rs` | single rays and paths, for tests and tools |
+//! | `policy.rs` | whether tests need a GPU |
 //!
 //! The work goes in submissions of bounded length, two of them under way: while one is computed, the pixels of the one before are read back.
 
 pub(crate) mod adapter;
 mod device;
 mod kernel;
+#[cfg(test)]
+mod kernel_tests;
 mod pass;
+mod policy;
 pub mod probe;
 mod scene;
 pub(crate) mod tiles;
 
 pub(crate) use device::Gpu;
 pub use kernel::{GpuOptions, TraversalForm};
+pub use policy::TestPolicy;
 pub(crate) use scene::GpuScene;
 
 /// Version of the kernels, part of the numeric class: raise it with every change of a result.

@@ -38,7 +38,8 @@ pub struct ProbedPath {
     pub recorded: Vec<[u32; 12]>,
 }
 
-const PROBE_WORDS: usize = 12;
+/// Words of a recorded ray.
+pub(super) const PROBE_WORDS: usize = 12;
 
 /// Bytes of one submission's input and output.
 const BYTES_MAX: usize = 64 << 20;
@@ -202,9 +203,9 @@ pub fn cpu_frame(pack: &Pack, kernel: Kernel, frame: &tessera_wire::Frame) -> (V
     cpu::render(pack, kernel, frame, rect, &AtomicBool::new(false)).unwrap_or_default()
 }
 
-/// What a kernel takes for 'without end'.
+/// An end of a ray as kernels take it: 'without end' is the largest number; before what is no number, nothing is hit.
 fn finite(t: f32) -> f32 {
-    t.min(f32::MAX)
+    if t.is_nan() { 0.0 } else { t.min(f32::MAX) }
 }
 
 /// A recorded ray's origin and direction.

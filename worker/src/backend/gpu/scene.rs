@@ -58,7 +58,7 @@ impl GpuScene {
             return Err(GpuError::CannotHold { needs, has, what: "places of 32 bits" });
         };
         let (slot_bytes, word_bytes) = (words.slots.len() as u64, words.length * 4);
-        let chunks = check(gpu, slot_bytes, word_bytes)?;
+        let chunks = check(gpu, slot_bytes, word_bytes, options.binding_bytes_max)?;
 
         let slots = upload(gpu, &[words.slots], 8 << chunks.slots_log2, slot_bytes, chunks.slot_bindings)?;
         let rows = upload(gpu, &words.pieces, 4 << chunks.words_log2, word_bytes, chunks.word_bindings)?;
@@ -140,9 +140,15 @@ impl GpuScene {
 }
 
 /// How a scene is split over bindings; an error when it is too large.
-fn check(gpu: &Gpu, slot_bytes: u64, word_bytes: u64) -> Result<Chunks, GpuError> {
+fn check(
+    gpu: &Gpu,
+    slot_bytes: u64,
+    word_bytes: u64,
+    binding_bytes_max: Option<u64>,
+) -> Result<Chunks, GpuError> {
     let limits = gpu.limits();
     let binding = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    let binding = binding_bytes_max.map_or(binding, |max| max.min(binding));
     let bindings = limits.max_storage_buffers_per_shader_stage.saturating_sub(OWN_BINDINGS);
     let needs = slot_bytes + word_bytes;
     if let Some(memory) = gpu.adapter().memory
