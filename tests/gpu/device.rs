@@ -36,7 +36,13 @@ impl Device {
         }
     }
 
-    fn paths(&self, pack: &Pack, params: &FrameParams, pixels: &[(u32, u32)], record: u32) -> Vec<ProbedPath> {
+    fn paths(
+        &self,
+        pack: &Pack,
+        params: &FrameParams,
+        pixels: &[(u32, u32)],
+        record: u32,
+    ) -> Vec<ProbedPath> {
         self.scene(pack).paths(params, pixels, 0, record).expect("the GPU works")
     }
 }

@@ -79,7 +79,9 @@ fn with(precisions: usize, test: impl Fn(&dyn Other)) {
             test(&pretend::Cpu::nudged(f32::EPSILON));
             test(&pretend::Single);
         }
-        ("require" | "allow", Ok(devices)) => devices.iter().take(precisions).for_each(|device| test(*device)),
+        ("require" | "allow", Ok(devices)) => {
+            devices.iter().take(precisions).for_each(|device| test(*device))
+        }
         ("require", Err(why)) => panic!("TESSERA_GPU=require, and there is {why}"),
         ("allow", Err(why)) => skip(&why),
         ("off", _) => skip("TESSERA_GPU=off"),

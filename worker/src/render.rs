@@ -53,7 +53,12 @@ impl RenderThread {
         let pool = match backend.engine() {
             Engine::Cpu => {
                 let name = |i| format!("render {i}");
-                Some(rayon::ThreadPoolBuilder::new().num_threads(threads as usize).thread_name(name).build()?)
+                Some(
+                    rayon::ThreadPoolBuilder::new()
+                        .num_threads(threads as usize)
+                        .thread_name(name)
+                        .build()?,
+                )
             }
             Engine::Gpu(_) => None,
         };
@@ -96,7 +101,9 @@ fn render_on_cpu(
         let rendered = pool.install(|| cpu::render(&pack, kernel, &task.frame, task.rect, &stop));
         let time = begun.elapsed();
         tell(match rendered {
-            Some((pixels, rays)) => RenderEvent::Rendered(Box::new(RenderedTile { task, pixels, time, rays })),
+            Some((pixels, rays)) => {
+                RenderEvent::Rendered(Box::new(RenderedTile { task, pixels, time, rays }))
+            }
             None => RenderEvent::Stopped,
         });
     }

@@ -154,7 +154,8 @@ mod tests {
         let pack = scene().expect("it packs");
         let task = task(&pack, 64).expect("a usable pose");
         let (pixels, rays) =
-            cpu::render(&pack, Kernel::auto(), &task.frame, task.rect, &AtomicBool::new(false)).expect("not stopped");
+            cpu::render(&pack, Kernel::auto(), &task.frame, task.rect, &AtomicBool::new(false))
+                .expect("not stopped");
         assert_eq!((pixels.len(), rays.primary), (64 * 64 * 4, 64 * 64));
         assert!(rays.shadow > 1000 && rays.reflection > 500, "{rays:?}");
         assert!(cpu(Kernel::auto()) > 1);
