@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::Duration;
 use tessera_master::prepare::{PrepareOptions, choose_camera, prepare_scene};
-use tessera_master::{Balance, FrameBuffer, FrameJob, PixelFormat};
+use tessera_master::{Balance, Difference, FrameBuffer, FrameJob, PixelFormat};
 use tessera_pack::{Pack, Plain};
 use tessera_scene::Scene;
 use tessera_whitted::variant::Variant;
@@ -175,7 +175,7 @@ pub fn run(args: &GpuArgs, progress: &Progress) -> Result<(), CommandError> {
         load(&gpu, &tasks, &packs)?
     };
     measure(&mut peers, args.reps, progress)?;
-    check_equal(&peers)?;
+    let equal = check_equal(&peers);
 
     let name = name_of(&args.scene);
     let lines = peers
@@ -184,12 +184,15 @@ pub fn run(args: &GpuArgs, progress: &Progress) -> Result<(), CommandError> {
             Line::new(&name, gpu.adapter(), args.reps, peer.packed.frame(peer.task.what), peer, &peers)
         })
         .collect::<Result<Vec<_>, _>>()?;
+    // Where frames differ, the lines say which.
     if args.json {
-        return super::print_lines(&lines);
+        super::print_lines(&lines)?;
+    } else {
+        let variant = Variant::of(&packs[0].pack);
+        let kernel = kernel(&variant.name(), &variant.left_out());
+        print_text(&text(gpu.adapter(), packs[0].pack.triangle_count(), &kernel, equal.is_ok(), &lines))?;
     }
-    let variant = Variant::of(&packs[0].pack);
-    let kernel = kernel(&variant.name(), &variant.left_out());
-    print_text(&text(gpu.adapter(), packs[0].pack.triangle_count(), &kernel, &lines))
+    equal
 }
 
 /// Packs the scene in every way that is asked for; the usual one comes first.
@@ -333,12 +336,15 @@ fn check_equal(peers: &[Peer<'_>]) -> Result<(), CommandError> {
         let picture = |task: &Task| (task.what, task.packing, task.gpu.map(|gpu| gpu.f64));
         let twin = peers[..i].iter().find(|twin| picture(&twin.task) == picture(&peer.task));
         if let Some(twin) = twin.filter(|twin| twin.pixels != peer.pixels) {
+            let mut difference = Difference::default();
+            difference.add(PixelFormat::Rgba8, &twin.pixels, &peer.pixels);
             return Err(CommandError::Failed(format!(
-                "{} and {} do not render the same frame: {} and {}",
+                "{} and {} do not render the same frame: {} of {} pixels differ, by {} codes at most",
                 described(&twin.task),
                 described(&peer.task),
-                twin.hash()?,
-                peer.hash()?
+                difference.differing,
+                difference.pixels,
+                difference.max_abs
             )));
         }
     }

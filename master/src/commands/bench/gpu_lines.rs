@@ -104,10 +104,16 @@ impl Line {
 }
 
 /// The table for people.
-pub(super) fn text(adapter: &Adapter, triangles: u32, kernel: &str, lines: &[Line]) -> String {
+pub(super) fn text(
+    adapter: &Adapter,
+    triangles: u32,
+    kernel: &str,
+    are_equal: bool,
+    lines: &[Line],
+) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.
-    let _ = write_text(&mut out, adapter, triangles, kernel, lines);
+    let _ = write_text(&mut out, adapter, triangles, kernel, are_equal, lines);
     out
 }
 
@@ -116,6 +122,7 @@ fn write_text(
     adapter: &Adapter,
     triangles: u32,
     kernel: &str,
+    are_equal: bool,
     lines: &[Line],
 ) -> std::fmt::Result {
     let Some(first) = lines.first() else { return Ok(()) };
@@ -175,5 +182,6 @@ fn write_text(
         let name = format!("{form} {precision} {kernel}");
         writeln!(t, "{name:31} {vertices:10} {:4} {bytes:8} {compile:10.3} {upload:9.3}", line.refs)?;
     }
-    writeln!(t, "\nhashes     equal within one precision: across forms of traversal, lean and full")
+    let equal = if are_equal { "equal" } else { "NOT equal" };
+    writeln!(t, "\nhashes     {equal} within one precision, across forms of traversal, lean and full")
 }
