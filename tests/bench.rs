@@ -1,6 +1,6 @@
 //! The benches, run small: what they print, and that they compute the same each time.
 
-use crate::support::{Folder, PLY, Tessera};
+use crate::support::{Folder, PLY, Tessera, gpu};
 use std::collections::BTreeMap;
 
 /// Lines of `tessera bench rays --json` on a small image.
@@ -137,4 +137,121 @@ fn pack_times_every_stage_and_makes_the_pack_of_a_render() {
         assert!(table.contains(word), "no {word}: {table}");
     }
     tessera(&["bench", "pack", "a.tpack"]).fails(2, &["a.tpack", "name the scene"]);
+}
+
+/// A scene with mirrors and glass, as small as they are made.
+const TINY: &str = "[generate]\nkind = \"cornell\"\ntriangles = 1000\n";
+
+#[test]
+fn gpu_measures_each_kernel_and_all_make_one_picture() {
+    if gpu().is_none() {
+        return;
+    }
+    let folder = Folder::new();
+    folder.write("tiny.toml", TINY);
+    let bench = |more: &[&str]| {
+        let args = ["bench", "gpu", "tiny.toml", "--size", "32x32", "--reps", "1"];
+        Tessera::new(args).args(more).within(folder.path()).run().ok()
+    };
+    let out = bench(&["--json"]);
+    let lines: Vec<serde_json::Value> =
+        out.lines().map(|line| serde_json::from_str(line).expect("a JSON object a line")).collect();
+    let keys = "scene adapter adapter_kind driver what variant form f64 lean plain refs size depth reps backend seconds_median \
+                seconds_min seconds_max cpu_seconds rays mrays_s ratio_to_cpu cpu_seconds_ratio kernel_bytes compile_s upload_s \
+                differing_pixels psnr_db hash";
+    let mut hashes: BTreeMap<String, Vec<&str>> = BTreeMap::new();
+    for line in &lines {
+        assert!(keys.split_whitespace().all(|key| line.get(key).is_some()), "{line}");
+        assert_eq!((&line["scene"], &line["size"]), (&"tiny".into(), &serde_json::json!([32, 32])));
+        let number = |key: &str| line[key].as_f64().unwrap_or_else(|| panic!("no {key}: {line}"));
+        assert!(number("seconds_min") <= number("seconds_median") && number("mrays_s") > 0.0, "{line}");
+        if line["what"] == "primary" {
+            assert_eq!(line["rays"], 32 * 32);
+        } else {
+            assert!(number("rays") > 2000.0, "{line}");
+        }
+        if line["backend"] == "cpu" {
+            assert!(line["adapter"].is_null() && line["form"].is_null() && line["differing_pixels"] == 0);
+        } else {
+            assert!(number("kernel_bytes") > 1000.0 && number("compile_s") > 0.0 && number("upload_s") > 0.0);
+            assert!(number("differing_pixels") < 32.0 * 32.0 / 10.0, "{line}");
+        }
+        let picture = format!("{} {} {} {}", line["what"], line["plain"], line["refs"], line["f64"]);
+        hashes.entry(picture).or_default().push(line["hash"].as_str().expect("a hash"));
+    }
+    assert!(hashes.values().all(|all| all.iter().all(|hash| hash == &all[0])), "{hashes:?}");
+    let forms = |lean: bool| {
+        let usual = |l: &&serde_json::Value| l["what"] == "frame" && l["plain"] == false && l["refs"] == 2;
+        let of = lines.iter().filter(usual).filter(|l| l["lean"] == lean && l["f64"] != false);
+        of.map(|l| l["form"].as_str().expect("a form")).collect::<Vec<_>>()
+    };
+    assert_eq!(forms(true), forms(false));
+    assert!(lines.iter().any(|l| l["plain"] == true && l["refs"] == 0 && l["backend"] == "gpu"));
+    // What a render of the same scene prints.
+    let render = ["render", "tiny.toml", "--out", "a.png", "--size", "32x32", "--backend", "cpu", "--json"];
+    let render = Tessera::new(render).within(folder.path()).run().json();
+    assert_eq!(lines[0]["hash"], render["image_hash"]);
+    assert!(render.get("gpu_kernel").is_none());
+}
+
+#[test]
+fn gpu_refuses_what_cannot_be_measured() {
+    let folder = Folder::new();
+    folder.write("a.ply", PLY);
+    folder.write("a.tpack", "");
+    let check = |code, args: &[&str], says: &[&str]| {
+        let hide = |run: Tessera, name| run.env(name, "/nonexistent/driver.json");
+        let hidden = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES", "VK_ADD_DRIVER_FILES"].into_iter();
+        let run = hidden.fold(Tessera::new(["bench", "gpu"]), hide);
+        run.args(args).within(folder.path()).run().fails(code, says);
+    };
+    check(1, &["a.ply"], &["no GPU was found", "install its Vulkan driver"]);
+    check(1, &["none.ply"], &["no GPU was found"]);
+    check(2, &["a.tpack"], &["a.tpack", "name the scene"]);
+    check(2, &["a.ply", "--size", "9"], &["WIDTHxHEIGHT"]);
+    check(2, &["a.ply", "--reps", "0"], &["--reps"]);
+    check(2, &["a.ply", "--gpu", ""], &["--gpu"]);
+}
+
+/// `scene info` names the kernel, and a render on a GPU does.
+#[test]
+fn a_scene_says_which_kernel_it_needs() {
+    let folder = Folder::new();
+    folder.write("a.ply", PLY);
+    folder.write("tiny.toml", TINY);
+    let info = |args: &[&str]| Tessera::new(["scene", "info"]).args(args).within(folder.path()).run();
+    // A scan: flat, opaque, rough, of one material, without textures.
+    let kernel = info(&["a.ply", "--json"]).json()["kernel"].clone();
+    for (part, is_in) in kernel["parts"].as_object().expect("parts") {
+        let is_left_out =
+            kernel["left_out"].as_array().expect("a list").iter().any(|left_out| left_out == part.as_str());
+        assert_eq!(is_in.as_bool(), Some(!is_left_out), "{kernel}");
+        let is_named = kernel["name"].as_str().expect("a name").split('+').any(|named| named == part);
+        assert_eq!(is_in.as_bool(), Some(is_named), "{kernel}");
+    }
+    for part in
+        ["refs", "normals", "textures", "colors", "materials", "holes", "see-through", "mirrors", "glass"]
+    {
+        assert_eq!(kernel["parts"][part], false, "{part}: {kernel}");
+    }
+    let tiny = info(&["tiny.toml", "--json"]).json()["kernel"].clone();
+    for part in ["normals", "materials", "see-through", "mirrors", "glass"] {
+        assert_eq!(tiny["parts"][part], true, "{part}: {tiny}");
+    }
+    let name = tiny["name"].as_str().expect("a name");
+    let text = info(&["tiny.toml"]).ok();
+    assert!(text.contains(&format!("\nkernel     {name}, left out: ")), "{text}");
+
+    if gpu().is_none() {
+        return;
+    }
+    let render = |more: &[&str]| {
+        let args = ["render", "tiny.toml", "--out", "a.png", "--size", "16x16", "--backend", "gpu"];
+        Tessera::new(args).args(more).within(folder.path()).run()
+    };
+    let out = render(&["--json"]).ok();
+    let report: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!(report["gpu_kernel"], tiny["name"]);
+    let text = render(&[]).ok();
+    assert!(text.contains(&format!("\nkernel     {name}\n")), "{text}");
 }

@@ -5,7 +5,7 @@ use std::fs;
 
 #[test]
 fn help_is_a_manual() {
-    let commands: [&[&str]; 12] = [
+    let commands: [&[&str]; 13] = [
         &[],
         &["demo"],
         &["doctor"],
@@ -18,6 +18,7 @@ fn help_is_a_manual() {
         &["bench", "rays"],
         &["bench", "build"],
         &["bench", "pack"],
+        &["bench", "gpu"],
     ];
     for command in commands {
         let help = Tessera::new(command).args(["--help"]).run().ok();

@@ -29,3 +29,4 @@ mod service;
 mod simulation;
 mod support;
 mod tidy;
+mod variants;

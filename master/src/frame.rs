@@ -35,7 +35,7 @@ pub struct FrameJob {
 
 impl FrameJob {
     /// The job as a message.
-    pub(crate) fn to_wire(&self, frame: FrameId, pack: tessera_wire::PackId) -> Frame {
+    pub fn to_wire(&self, frame: FrameId, pack: tessera_wire::PackId) -> Frame {
         let Self { camera, width, height, tile, samples, depth, seed, features, format, balance, .. } = *self;
         let camera = Camera {
             origin: camera.origin.to_array(),

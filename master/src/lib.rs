@@ -30,6 +30,7 @@ pub use client::{Client, ClientError};
 pub use cluster::{
     Cluster, ClusterConfig, ListenConfig, LoadError, LocalWorkers, RenderError, StartError, Workers,
 };
+pub use difference::Difference;
 pub use dispatch::Balance;
 pub use frame::{
     ClassDifference, ClassPart, FrameJob, FrameResult, Progress, Timings, Traffic, WorkerReport,

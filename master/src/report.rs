@@ -50,6 +50,9 @@ pub struct RenderReport {
     pub backend_note: Option<String>,
     /// How local workers trace rays on a CPU: `scalar`, or `8-wide` and the instructions.
     pub kernel: &'static str,
+    /// What GPUs rendered with, where one had a part: the parts of the kernel that this scene needs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gpu_kernel: Option<String>,
     /// The view.
     pub camera: CameraReport,
     /// Every worker, in the order of joining.
@@ -213,6 +216,8 @@ pub struct RenderFacts<'a> {
     pub backend_note: Option<String>,
     /// How local workers traced rays.
     pub kernel: &'static str,
+    /// The kernel that GPUs rendered with, if any did.
+    pub gpu_kernel: Option<String>,
     /// The file that was written.
     pub out: PathBuf,
     /// Of the image.
@@ -226,7 +231,8 @@ pub struct RenderFacts<'a> {
 impl RenderReport {
     /// Puts together what the parts of a render know.
     pub fn new(facts: RenderFacts<'_>, result: &FrameResult) -> Self {
-        let RenderFacts { prepared, job, camera, backend_note, kernel, out, hash, start, write } = facts;
+        let RenderFacts { prepared, job, camera, backend_note, kernel, gpu_kernel, out, hash, start, write } =
+            facts;
         let traffic = &result.traffic;
         let udp = traffic.udp_sent + traffic.udp_received;
         Self {
@@ -251,6 +257,7 @@ impl RenderReport {
             depth: job.depth,
             backend_note,
             kernel,
+            gpu_kernel,
             camera,
             workers: result
                 .workers
@@ -361,6 +368,9 @@ impl RenderReport {
         let notes: BTreeSet<_> = with_part.map(|w| (&w.numeric_class, &w.backend_note)).collect();
         for (class, note) in notes {
             writeln!(t, "backend    {class}: {note}")?;
+        }
+        if let Some(kernel) = &self.gpu_kernel {
+            writeln!(t, "kernel     {kernel}")?;
         }
         for part in &self.classes {
             let (workers, tiles) = (plural(part.workers.into(), "worker"), plural(part.tiles.into(), "tile"));

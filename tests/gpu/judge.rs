@@ -62,7 +62,8 @@ pub struct Sight {
 
 impl Sight {
     pub fn new(ray: &Ray, vertices: [Vec3; 3]) -> Self {
-        let whole = Ray { t_min: 0.0, t_max: f32::INFINITY, ..*ray };
+        // Before the origin too: a surface that rounding puts just behind it may lie just before it.
+        let whole = Ray { t_min: f32::NEG_INFINITY, t_max: f32::INFINITY, ..*ray };
         let truth = truth::judge(&whole, vertices);
         let [a, b, c] = vertices.map(|v| v.as_dvec3() - ray.origin.as_dvec3());
         let direction = ray.direction.as_dvec3();

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
+use tessera_worker::gpu::{GpuOptions, TestPolicy, probe::GpuProbe};
 
 /// Longest wait for a line of output, or for the end. No run takes a tenth of it on a slow machine; what takes longer hangs.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -301,6 +302,13 @@ pub fn skipped(why: impl std::fmt::Display) {
     use std::io::Write;
     // Nothing is lost with a stderr that nobody reads.
     let _ = writeln!(std::io::stderr(), "SKIPPED: {why}");
+}
+
+/// A GPU to test with, or a driver that plays one, as `TESSERA_GPU` says; `pretend` is for other tests.
+pub fn gpu() -> Option<GpuProbe> {
+    let is_pretended = std::env::var("TESSERA_GPU").is_ok_and(|asked| asked == "pretend");
+    let policy = if is_pretended { TestPolicy::Off } else { TestPolicy::from_env().expect("TESSERA_GPU") };
+    policy.open(GpuOptions::default()).expect("TESSERA_GPU=require, and there is none")
 }
 
 /// Two triangles that face +z, one of them higher.

@@ -11,6 +11,7 @@ use tessera_master::prepare::Prepared;
 use tessera_master::report::LeftOutLine;
 use tessera_pack::{Pack, format::Section};
 use tessera_quantize::sizes;
+use tessera_whitted::variant::Variant;
 
 /// What to look into.
 #[derive(Debug, Args)]
@@ -52,6 +53,8 @@ pub struct Info {
     pub dropped: BTreeMap<&'static str, u64>,
     pub left_out: Vec<LeftOutLine>,
     pub grid: Grid,
+    /// What a GPU compiles for this pack.
+    pub kernel: KernelLine,
     /// Of the pack's own tree.
     pub nodes: Nodes,
     pub bytes: Bytes,
@@ -85,6 +88,23 @@ pub struct ImageLine {
 pub struct SectionLeftOut {
     pub section: &'static str,
     pub why: String,
+}
+
+/// The kernel that renders the pack on a GPU: the parts that it needs.
+#[derive(Debug, Serialize)]
+pub struct KernelLine {
+    pub name: String,
+    /// Every part that may be left out, and whether it is in.
+    pub parts: BTreeMap<&'static str, bool>,
+    pub left_out: Vec<&'static str>,
+}
+
+impl KernelLine {
+    fn of(pack: &Pack) -> Self {
+        let variant = Variant::of(pack);
+        let parts = variant.parts().into_iter().collect();
+        Self { name: variant.name(), parts, left_out: variant.left_out() }
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -267,6 +287,7 @@ impl Info {
                 step: head.step,
                 precision: 1.0 / (1024.0 * f64::from(nx.max(ny).max(nz))),
             },
+            kernel: KernelLine::of(&pack),
             nodes: own,
             bytes: Bytes {
                 mesh_plain: vertex_bytes * nv + 12 * nf,

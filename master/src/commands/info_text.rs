@@ -30,6 +30,7 @@ fn write_all(info: &Info, t: &mut String) -> std::fmt::Result {
     names(t, "textures", info.textures, &images)?;
     names(t, "lights", info.lights, &info.light_names)?;
     names(t, "cameras", info.cameras.len(), &info.cameras)?;
+    writeln!(t, "kernel     {}", kernel(&info.kernel.name, &info.kernel.left_out))?;
     for (what, count) in info.dropped.iter().filter(|(_, count)| **count > 0) {
         writeln!(t, "dropped    {count} {what}")?;
     }
@@ -139,6 +140,14 @@ fn tables(info: &Info, t: &mut String) -> std::fmt::Result {
         writeln!(t, "  {what:<33} {}   {:.3}", mib(after), ratio(before, after))?;
     }
     Ok(())
+}
+
+/// A GPU's kernel, and what is not in it.
+pub fn kernel(name: &str, left_out: &[&str]) -> String {
+    if left_out.is_empty() {
+        return format!("{name}, nothing left out");
+    }
+    format!("{name}, left out: {}", left_out.join(", "))
 }
 
 fn kind(tree: &TreeLine) -> &'static str {

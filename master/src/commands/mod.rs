@@ -94,7 +94,7 @@ pub enum Command {
     Scene(SceneCommand),
     /// Say how far two pictures differ
     Compare(compare::CompareArgs),
-    /// Measure rays and trees, beside obvhs in the same run
+    /// Measure rays and trees beside obvhs, packing, and a GPU beside the CPU
     #[command(subcommand)]
     Bench(bench::BenchCommand),
     /// Say what renders here, how fast, and what is missing

@@ -13,6 +13,7 @@ use tessera_geometry::{CameraPose, DVec3};
 use tessera_master::prepare::{Prepared, choose_camera};
 use tessera_master::report::{CameraReport, RenderFacts, RenderReport};
 use tessera_master::{Balance, FrameJob, OutputFile, PixelFormat};
+use tessera_whitted::variant::Variant;
 use tessera_wire::{Features, FrameError, TileGrid, limits};
 
 /// What to render, and how.
@@ -226,6 +227,8 @@ impl<'a> Plan<'a> {
                 Crew::Master(_) => None,
             },
             kernel: args.backend.kernel.kernel().name(),
+            gpu_kernel: (frame.workers.iter().any(|worker| worker.backend == "gpu" && worker.tiles > 0))
+                .then(|| Variant::of(&prepared.pack).name()),
             out: self.out.path().to_owned(),
             hash: frame.image.hash(),
             start,

@@ -132,6 +132,11 @@ impl Variant {
         ]
     }
 
+    /// The parts that are left out.
+    pub fn left_out(&self) -> Vec<&'static str> {
+        self.parts().into_iter().filter(|part| !part.1).map(|part| part.0).collect()
+    }
+
     /// For people: the parts that are in, as `refs+normals+mirrors`, or `bare`.
     pub fn name(&self) -> String {
         let parts: Vec<_> = self.parts().into_iter().filter(|part| part.1).map(|part| part.0).collect();

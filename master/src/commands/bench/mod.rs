@@ -1,8 +1,10 @@
-//! `tessera bench`: measurements that anyone can repeat, on meshes without attributes.
+//! `tessera bench`: measurements that anyone can repeat, of rays and trees on meshes without attributes, of packing and GPUs on scenes.
 
 mod build;
 mod clock;
 mod generate;
+mod gpu;
+mod gpu_lines;
 mod hash;
 mod measure;
 mod memory;
@@ -30,6 +32,8 @@ pub enum BenchCommand {
     Build(build::BuildArgs),
     /// Time of packing, stage by stage, and bytes of every section
     Pack(pack::PackArgs),
+    /// Seconds of a frame on a GPU and on the CPU, by what the GPU's kernels are made of
+    Gpu(gpu::GpuArgs),
     /// Build one tree; started by `bench build` itself
     #[command(hide = true)]
     BuildOne(build::BuildOneArgs),
@@ -40,6 +44,7 @@ pub fn run(command: BenchCommand, progress: &Progress) -> Result<(), CommandErro
         BenchCommand::Rays(args) => rays::run(args, progress),
         BenchCommand::Build(args) => build::run(args, progress),
         BenchCommand::Pack(args) => pack::run(args, progress),
+        BenchCommand::Gpu(args) => gpu::run(&args, progress),
         BenchCommand::BuildOne(args) => build::run_one(&args),
     }
 }

@@ -8,3 +8,4 @@ mod probes;
 mod refraction;
 mod sides;
 mod support;
+mod variants;

@@ -239,11 +239,14 @@ pub(super) fn bind_group_layout(gpu: &Gpu, chunks: Chunks, purpose: Purpose) -> 
 pub(super) struct Kernel {
     pub(super) pipeline: ComputePipeline,
     pub(super) layout: BindGroupLayout,
+    /// Bytes of its text.
+    pub(super) text_bytes: usize,
 }
 
 /// Compiles a kernel.
 pub(super) fn compile(gpu: &Gpu, key: &KernelKey) -> Result<Kernel, GpuError> {
     let text = text(key);
+    let text_bytes = text.len();
     let layout = gpu.try_make(|| bind_group_layout(gpu, key.chunks, key.purpose))?;
     let pipeline = gpu.try_make(|| {
         let source = ShaderSource::Wgsl(Cow::Owned(text));
@@ -266,7 +269,7 @@ pub(super) fn compile(gpu: &Gpu, key: &KernelKey) -> Result<Kernel, GpuError> {
             cache: None,
         })
     })?;
-    Ok(Kernel { pipeline, layout })
+    Ok(Kernel { pipeline, layout, text_bytes })
 }
 
 /// A module without checks at run time, which cost a third of the time and more.

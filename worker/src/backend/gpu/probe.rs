@@ -1,15 +1,17 @@
 //! Single rays, and the rays behind single pixels, on a GPU: for tests that hold it to the CPU, and for tools.
 
-use super::kernel::{Kernel, Purpose};
+use super::kernel::{Kernel as GpuKernel, Purpose};
 use super::slot::{COUNT_BYTES, make_buffer};
 use super::tiles::Tiles;
 use super::wavefront::HEAD_BYTES;
 use super::{Gpu, GpuError, GpuOptions, GpuScene};
-use crate::backend::{Adapter, BackendError};
+use crate::backend::{Adapter, BackendError, cpu};
 use bytemuck::{bytes_of, cast_slice};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 use tessera_geometry::{Hit, Ray, Vec3};
+use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 use tessera_whitted::FrameParams;
 use tessera_whitted::device::{FrameInfo, state_quads};
@@ -59,6 +61,11 @@ impl GpuProbe {
         Gpu::open(wanted, options.f64).map(|gpu| Self { gpu, options })
     }
 
+    /// The same GPU with other kernels; `f64` only where it was opened with it.
+    pub fn with(&self, options: GpuOptions) -> Self {
+        Self { gpu: self.gpu.clone(), options }
+    }
+
     /// Which it is.
     pub fn adapter(&self) -> &Adapter {
         self.gpu.adapter()
@@ -66,12 +73,15 @@ impl GpuProbe {
 
     /// Whether its kernels compute in `f64` where it matters.
     pub fn uses_f64(&self) -> bool {
-        self.gpu.uses_f64()
+        self.gpu.uses_f64() && self.options.f64
     }
 
-    /// Uploads a pack.
+    /// Uploads a pack, and waits until it is there.
     pub fn load(&self, pack: &Pack) -> Result<ProbedScene, GpuError> {
-        GpuScene::load(&self.gpu, pack, self.options).map(|scene| ProbedScene { scene: Arc::new(scene) })
+        let scene = Arc::new(GpuScene::load(&self.gpu, pack, self.options)?);
+        let submission = self.gpu.queue().submit([]);
+        self.gpu.wait(submission, PATIENCE)?;
+        Ok(ProbedScene { scene })
     }
 }
 
@@ -173,12 +183,17 @@ impl ProbedScene {
         }
         Ok((pixels, rays))
     }
+
+    /// Bytes of the text of the kernels that frames are rendered with.
+    pub fn kernel_bytes(&self, depth: u32) -> Result<usize, GpuError> {
+        self.scene.text_bytes(depth)
+    }
 }
 
 /// A kernel over some items, with its buffers.
 struct Run<'a> {
     scene: &'a GpuScene,
-    kernel: Arc<Kernel>,
+    kernel: Arc<GpuKernel>,
     bind_group: BindGroup,
     output: Buffer,
     readback: Buffer,
@@ -248,6 +263,13 @@ impl<'a> Run<'a> {
             _ => Err(GpuError::LoopsCut),
         }
     }
+}
+
+/// The same as [`ProbedScene::frame`] on the CPU, by the threads of the current rayon pool.
+pub fn cpu_frame(pack: &Pack, kernel: Kernel, frame: &tessera_wire::Frame) -> (Vec<u8>, tessera_wire::Rays) {
+    let rect = tessera_wire::Rect { x: 0, y: 0, width: frame.width, height: frame.height };
+    // It is never stopped.
+    cpu::render(pack, kernel, frame, rect, &AtomicBool::new(false)).unwrap_or_default()
 }
 
 /// An end of a ray as kernels take it: 'without end' is the largest number; before what is no number, nothing is hit.

@@ -81,11 +81,15 @@ impl GpuScene {
 
     /// Compiles the kernels that most frames use.
     pub(crate) fn warm_up(&self) -> Result<(), GpuError> {
-        let purposes: &[Purpose] = match self.options.form {
-            TraversalForm::Wavefront => &Stage::ALL.map(Purpose::Wave),
-            TraversalForm::PrivateStack | TraversalForm::ShortStack => &[Purpose::Render],
-        };
-        purposes.iter().try_for_each(|&purpose| self.kernel(DEPTHS[0], purpose).map(|_| ()))
+        self.purposes().iter().try_for_each(|&purpose| self.kernel(DEPTHS[0], purpose).map(|_| ()))
+    }
+
+    /// What its kernels do.
+    fn purposes(&self) -> Vec<Purpose> {
+        match self.options.form {
+            TraversalForm::Wavefront => Stage::ALL.map(Purpose::Wave).to_vec(),
+            TraversalForm::PrivateStack | TraversalForm::ShortStack => vec![Purpose::Render],
+        }
     }
 
     /// Which scene it is.
@@ -96,6 +100,11 @@ impl GpuScene {
     /// Greatest number of waiting rays of a path.
     pub(super) fn path_stack(&self, depth: u32) -> u32 {
         self.variant.path_stack(depth)
+    }
+
+    /// Bytes of the text of the kernels that render paths of `depth` mirror and bent rays.
+    pub(super) fn text_bytes(&self, depth: u32) -> Result<usize, GpuError> {
+        self.purposes().iter().map(|&purpose| Ok(self.kernel(depth, purpose)?.text_bytes)).sum()
     }
 
     /// The kernel for paths of `depth` mirror and bent rays, compiled the first time.

@@ -16,7 +16,7 @@ use tessera_whitted::twins::{constants as whitted, frame_word};
 use tessera_whitted::{Features, FrameParams, PixelFormat, Probe};
 
 /// Constants that Rust has not, and why.
-const WGSL_ONLY: [(&str, &str); 20] = [
+const WGSL_ONLY: [(&str, &str); 21] = [
     ("SHORT", "a choice of the short stack, which the CPU has not; any gives the same answers"),
     ("LEAST_STEEPNESS", "of the distance without f64, which the CPU has not"),
     ("SQUARE_OVERFLOWS", "the CPU lets infinities come and go"),
@@ -31,6 +31,7 @@ const WGSL_ONLY: [(&str, &str); 20] = [
     ("ROW_SUM", "a row of a state, which kernels alone read"),
     ("ROW_COUNTS", "a row of a state, which kernels alone read"),
     ("ROW_VIEW", "a row of a state, which kernels alone read"),
+    ("ROW_WAITING", "a row of a state, which kernels alone read"),
     ("ROW_LIGHT", "a row of a state, which kernels alone read"),
     ("PATH_NEW", "how far a probed path is, for the kernel alone"),
     ("PATH_UNDER_WAY", "how far a probed path is, for the kernel alone"),
