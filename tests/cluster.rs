@@ -73,7 +73,7 @@ pub fn config(name: &str, memory: Option<u64>) -> WorkerConfig {
 }
 
 /// A worker over memory.
-fn worker(config: WorkerConfig) -> (Link, Served) {
+pub fn worker(config: WorkerConfig) -> (Link, Served) {
     let (link, pipes) = Link::in_memory();
     let pipes = WorkerPipes {
         control_in: pipes.control_in,

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Kernels' text without a sibling, and why.
-const WITHOUT_SIBLING: [(&str, &str); 8] = [
+const WITHOUT_SIBLING: [(&str, &str); 10] = [
     ("shared/geometry/src/arithmetic.wgsl", "products that are never fused: plain operators in Rust"),
     ("shared/geometry/src/arithmetic_f32.wgsl", "quotients and roots: plain operators in Rust"),
     ("shared/geometry/src/arithmetic_f64.wgsl", "quotients and roots: plain operators in Rust"),
@@ -15,6 +15,8 @@ const WITHOUT_SIBLING: [(&str, &str); 8] = [
     ("shared/kdtree/src/stack_private.wgsl", "an `ArrayVec` in traverse.rs"),
     ("shared/kdtree/src/stack_short.wgsl", "its other form; the CPU needs none"),
     ("shared/whitted/src/maths.wgsl", "the crate libm in Rust"),
+    ("shared/whitted/src/waiting.wgsl", "the array of a `PathStack`"),
+    ("shared/whitted/src/wavefront.wgsl", "an order of rays that the CPU has not"),
 ];
 
 /// Of each sibling, functions that Rust has not under that name in the file of that name, and why.
@@ -50,7 +52,17 @@ const OWN_FUNCTIONS: &[(&str, &str, &[&str])] = &[
     (
         "shared/whitted/src/path.wgsl",
         "one loop over all kinds of rays, where the CPU has functions that call each other",
-        &["push_segment", "pop_segment", "query_of", "view", "ask_light", "take_share", "put_off"],
+        &[
+            "push_segment",
+            "pop_segment",
+            "query_of",
+            "begin_path",
+            "step_path",
+            "view",
+            "ask_light",
+            "take_share",
+            "put_off",
+        ],
     ),
     (
         "shared/whitted/src/pixel.wgsl",
@@ -58,12 +70,20 @@ const OWN_FUNCTIONS: &[(&str, &str, &[&str])] = &[
         &[
             "pixel_words",
             "render",
+            "at_in_job",
             "even_bits",
             "render_pixel",
+            "no_sum",
+            "end_sample",
+            "sample_ray",
+            "add_sample",
+            "mean",
             "write_pixel",
             "load_sum",
             "store_sum",
             "add_counts",
+            "loops_are_cut",
+            "note_cut_loops",
         ],
     ),
     ("shared/whitted/src/sample.wgsl", "`u32::isqrt`", &["whole_root"]),
@@ -110,7 +130,8 @@ const OWN_FUNCTIONS: &[(&str, &str, &[&str])] = &[
 ];
 
 /// Sources with unsafe code, and why. The workspace denies it; each place says why it may.
-const UNSAFE: [(&str, &str); 4] = [
+const UNSAFE: [(&str, &str); 5] = [
+    ("master/src/main.rs", "sets an environment variable before any thread is there"),
     ("shared/wire/tests/hostile.rs", "an allocator that counts"),
     ("worker/src/backend/gpu/adapter.rs", "asks Vulkan for the size of a GPU's memory"),
     ("worker/src/backend/gpu/kernel.rs", "compiles kernels without checks at run time"),

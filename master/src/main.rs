@@ -10,6 +10,7 @@ use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
 
 fn main() -> ExitCode {
+    quieten_driver_layers();
     let result = Cli::try_parse().map_err(usage_error).and_then(|cli| {
         start_logging(&cli.log, cli.command.is_service())?;
         cli.run()
@@ -20,6 +21,17 @@ fn main() -> ExitCode {
             commands::say(&error);
             ExitCode::from(error.exit_code())
         }
+    }
+}
+
+/// Keeps Mesa's layer that chooses among GPUs out of this process and those that it starts: it looks for a display, and complains on stderr
+/// where there is none. `--gpu` chooses here. Who has set that layer up keeps it.
+#[expect(unsafe_code, reason = "the environment is set before any other thread is there")]
+fn quieten_driver_layers() {
+    const OFF: &str = "NODEVICE_SELECT";
+    if ["MESA_VK_DEVICE_SELECT", OFF].iter().all(|name| std::env::var_os(name).is_none()) {
+        // SAFETY: nothing has been started yet, so nobody else reads or writes the environment.
+        unsafe { std::env::set_var(OFF, "1") };
     }
 }
 

@@ -8,6 +8,7 @@
 //! ```
 
 mod device;
+mod fleet;
 mod hard;
 mod judge;
 mod pretend;

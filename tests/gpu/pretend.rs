@@ -88,7 +88,7 @@ pub fn frame(pack: &Pack, params: &FrameParams) -> Vec<u8> {
 }
 
 /// A mirror, glass, a veil, two lights.
-fn small() -> (Pack, FrameParams) {
+pub fn small() -> (Pack, FrameParams) {
     let mut stage = Stage::default();
     let veil = Material {
         base_color: [0.2, 0.5, 0.9, 0.5],

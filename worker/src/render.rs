@@ -235,4 +235,69 @@ mod tests {
         drop(thread);
         assert!(matches!(event(), RenderEvent::Stopped), "nobody waits when the thread's owner is gone");
     }
+
+    /// A triangle in front of the camera.
+    fn triangle() -> Pack {
+        let input = PackInput {
+            positions: vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+            triangles: vec![[0, 1, 2]],
+            material_runs: vec![(0, 0)],
+            materials: vec![Material::default()],
+            ..PackInput::default()
+        };
+        build_pack(input, &PackOptions::default()).unwrap().0
+    }
+
+    /// A GPU, unless there is none and none is required.
+    fn gpu_backend() -> Option<Backend> {
+        use crate::gpu::{GpuOptions, TestPolicy};
+        let policy = TestPolicy::from_env().expect("a known policy");
+        policy.open(GpuOptions::default()).expect("a GPU is required")?;
+        let config = BackendConfig { choice: BackendChoice::Gpu, ..BackendConfig::default() };
+        Some(Backend::open(&config).expect("it can be opened"))
+    }
+
+    #[test]
+    fn a_gpu_takes_several_tiles_and_stops_those_that_nobody_waits_for() {
+        let Some(backend) = gpu_backend() else { return };
+        let (tell, told) = mpsc::channel();
+        let mut thread = RenderThread::start(1, backend, move |event| tell.send(event).unwrap()).unwrap();
+        let event = || told.recv_timeout(Duration::from_secs(120)).expect("it takes seconds at most");
+        for _ in 0..3 {
+            thread.render(task(1), triangle());
+        }
+        for _ in 0..3 {
+            assert!(matches!(event(), RenderEvent::Rendered(tile) if tile.rays.primary == 512 * 512));
+        }
+        // Hours of work, three times.
+        for _ in 0..3 {
+            thread.render(task(1 << 16), triangle());
+        }
+        thread.stop();
+        for _ in 0..3 {
+            assert!(matches!(event(), RenderEvent::Stopped));
+        }
+        thread.render(task(1), triangle());
+        assert!(matches!(event(), RenderEvent::Rendered(_)));
+    }
+
+    #[test]
+    fn a_gpu_that_is_lost_is_told_and_the_cpu_takes_over_where_it_may() {
+        let Some(backend) = gpu_backend() else { return };
+        let Engine::Gpu(engine) = backend.engine() else { panic!("it was asked for") };
+        assert_eq!(backend.check_pack(&triangle()), Ok(()));
+        engine.lose();
+        let (tell, told) = mpsc::channel();
+        let mut thread =
+            RenderThread::start(1, backend.clone(), move |event| tell.send(event).unwrap()).unwrap();
+        thread.render(task(1), triangle());
+        let event = told.recv_timeout(Duration::from_secs(120)).expect("it is noticed");
+        assert!(matches!(&event, RenderEvent::Failed(reason) if reason.contains("GPU")));
+        // Somebody has insisted on the GPU.
+        assert_eq!((backend.or_fallback().name(), backend.has_fallback()), ("gpu", false));
+        // Nobody has.
+        let backend = backend.as_if_auto();
+        assert_eq!((backend.or_fallback().name(), backend.has_fallback()), ("cpu", true));
+        assert!(backend.or_fallback().note().contains("the GPU has failed"));
+    }
 }

@@ -276,6 +276,20 @@ impl Backend {
         self.inner.has_failed.load(Ordering::Relaxed) && self.inner.is_auto
     }
 
+    /// The same, failed, as if the user had left the choice to us.
+    #[cfg(test)]
+    pub(crate) fn as_if_auto(&self) -> Self {
+        let inner = Inner {
+            kernel: self.inner.kernel,
+            engine: Engine::Cpu,
+            speed: 1,
+            note: String::new(),
+            is_auto: true,
+            has_failed: AtomicBool::new(true),
+        };
+        Self { inner: Arc::new(inner) }
+    }
+
     /// How the CPU traces rays, if that is what renders.
     pub(crate) fn kernel(&self) -> Kernel {
         self.inner.kernel
@@ -293,6 +307,12 @@ impl fmt::Display for Backend {
 }
 
 impl GpuEngine {
+    /// Takes the device away, as a driver that resets does.
+    #[cfg(test)]
+    pub(crate) fn lose(&self) {
+        self.gpu.device().destroy();
+    }
+
     /// `pack` in the GPU's memory, where it stays until another one is asked for.
     pub(crate) fn scene(&self, pack: &Pack) -> Result<Arc<GpuScene>, GpuError> {
         let mut held = self.scene.lock().unwrap_or_else(PoisonError::into_inner);

@@ -310,7 +310,10 @@ fn measure(peers: &mut Vec<Peer<'_>>, reps: u32, progress: &Progress) -> Result<
                 Some(loaded) => match loaded.scene.frame(frame) {
                     // Software drivers cannot do everything; what they can is still worth a line.
                     Err(GpuError::LoopsCut) => {
-                        tracing::warn!("left out: {}: the driver ends long loops early", described(&peer.task));
+                        tracing::warn!(
+                            "left out: {}: the driver ends long loops early",
+                            described(&peer.task)
+                        );
                         cut.push(peer.task);
                         continue;
                     }

@@ -1,0 +1,63 @@
+//! Whole clusters whose workers render on a GPU.
+
+use super::pretend::small;
+use super::with_other;
+use crate::cluster::{config, worker};
+use tessera_master::{Balance, Cluster, ClusterConfig, FrameJob, PixelFormat, Workers};
+use tessera_wire::Features;
+use tessera_worker::{Backend, BackendChoice, BackendConfig, WorkerConfig};
+
+/// One picture on one adapter, whoever renders which tile: to the bit.
+#[test]
+fn a_frame_has_one_hash_for_any_number_of_workers_and_every_balancing() {
+    with_other(|other| {
+        let asked = BackendConfig { choice: BackendChoice::Gpu, ..BackendConfig::default() };
+        let Ok(backend) = Backend::open(&asked) else {
+            // (The CPU plays the GPU.)
+            return println!("{}: no worker renders on it", other.name());
+        };
+        assert!(backend.numeric_class().starts_with("gpu-") && backend.speed() > 1, "{}", backend.note());
+        let runtime = tokio::runtime::Runtime::new().expect("threads");
+        let (pack, params) = small();
+        let mut hashes = Vec::new();
+        for (workers, balance) in
+            [1, 2, 3, 5, 8].into_iter().flat_map(|count| Balance::ALL.map(|balance| (count, balance)))
+        {
+            let job = FrameJob {
+                camera: params.camera,
+                width: params.width,
+                height: params.height,
+                tile: if workers % 2 == 0 { 32 } else { 48 },
+                samples: 2,
+                depth: 4,
+                seed: 7,
+                features: Features::default(),
+                format: PixelFormat::Rgba8,
+                balance,
+                mix: false,
+            };
+            let result = runtime.block_on(async {
+                let (links, served): (Vec<_>, Vec<_>) = (0..workers)
+                    .map(|i| {
+                        worker(WorkerConfig { backend: backend.clone(), ..config(&format!("g{i}"), None) })
+                    })
+                    .unzip();
+                let mut cluster =
+                    Cluster::start(Workers::Links(links), ClusterConfig::default()).await.expect("they join");
+                cluster.load(&pack, |_| ()).await.expect("the GPU holds it");
+                let result = cluster.render(&job, |_| ()).await.expect("the GPU works");
+                cluster.stop().await;
+                for served in served {
+                    served.await.expect("no panic").expect("dismissed");
+                }
+                result
+            });
+            assert_eq!(result.numeric_class(), Some(backend.numeric_class()));
+            hashes.push((result.image.hash().to_string(), workers, balance));
+        }
+        for (hash, workers, balance) in &hashes {
+            assert_eq!(hash, &hashes[0].0, "{workers} workers, {balance:?}");
+        }
+        println!("{}: {} frames, one hash: {}", other.name(), hashes.len(), hashes[0].0);
+    });
+}
