@@ -57,6 +57,10 @@ impl Other for Device {
         if self.probe.uses_f64() { TBound::DOUBLE } else { TBound::SINGLE }
     }
 
+    fn is_device(&self) -> bool {
+        true
+    }
+
     fn is_exact(&self) -> bool {
         self.probe.uses_f64()
     }

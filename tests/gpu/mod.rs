@@ -31,6 +31,11 @@ trait Other: Sync {
     /// How far its distances may be off.
     fn t_bound(&self) -> TBound;
 
+    /// Whether a worker can render on it.
+    fn is_device(&self) -> bool {
+        false
+    }
+
     /// Whether its rays from the eye, and all that is made of them, are the CPU's bit for bit: then no difference is left to chance.
     fn is_exact(&self) -> bool {
         false

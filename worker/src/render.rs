@@ -15,7 +15,7 @@ use std::{
         mpsc,
     },
     thread,
-    time::Instant,
+    time::{Duration, Instant},
 };
 use tessera_pack::Pack;
 
@@ -109,6 +109,9 @@ fn render_on_cpu(
     }
 }
 
+/// How long buffers are kept for the next tile: longer than one takes to be assigned.
+const IDLE: Duration = Duration::from_millis(100);
+
 /// Takes tiles in as they come, so that the device has the next ones before it has finished the last.
 fn render_on_gpu(
     engine: &GpuEngine,
@@ -120,8 +123,22 @@ fn render_on_gpu(
     loop {
         // Wait for a tile if there is none, and take all that are there.
         let is_idle = tiles.as_ref().is_none_or(Tiles::is_idle);
-        let first = if is_idle { queue.recv().ok().map(Some) } else { Some(None) };
-        let Some(first) = first else { return Ok(()) };
+        let first = match (is_idle, &tiles) {
+            (false, _) => None,
+            (true, None) => match queue.recv() {
+                Ok(first) => Some(first),
+                Err(_) => return Ok(()),
+            },
+            // Let go of a scene that nothing is rendered of: the next one may need its room.
+            (true, Some(_)) => match queue.recv_timeout(IDLE) {
+                Ok(first) => Some(first),
+                Err(mpsc::RecvTimeoutError::Timeout) => {
+                    tiles = None;
+                    continue;
+                }
+                Err(mpsc::RecvTimeoutError::Disconnected) => return Ok(()),
+            },
+        };
         for (task, pack, its_stop) in first.into_iter().chain(queue.try_iter()) {
             if !Arc::ptr_eq(&stop, &its_stop) {
                 // Those before were stopped, or there were none.
@@ -177,7 +194,6 @@ impl<F: Fn(RenderEvent)> Drop for PanicTeller<F> {
 mod tests {
     use super::*;
     use crate::{BackendChoice, BackendConfig};
-    use std::time::Duration;
     use tessera_pack::{Material, PackInput, PackOptions, build_pack};
     use tessera_wire::{
         Attempt, Camera, Features, Frame, FrameId, PackId, PixelFormat, Rect, ReturnMode, TileId,
@@ -283,7 +299,14 @@ mod tests {
 
     #[test]
     fn a_gpu_that_is_lost_is_told_and_the_cpu_takes_over_where_it_may() {
-        let Some(backend) = gpu_backend() else { return };
+        let Some(insisted_on) = gpu_backend() else { return };
+        lose(insisted_on, "gpu");
+        let left_to_us = gpu_backend().expect("it was there a moment ago").left_to_us();
+        lose(left_to_us, "cpu");
+    }
+
+    /// Loses the GPU in the middle of work, and goes on with `fallback`.
+    fn lose(backend: Backend, fallback: &str) {
         let Engine::Gpu(engine) = backend.engine() else { panic!("it was asked for") };
         assert_eq!(backend.check_pack(&triangle()), Ok(()));
         engine.lose();
@@ -292,12 +315,8 @@ mod tests {
             RenderThread::start(1, backend.clone(), move |event| tell.send(event).unwrap()).unwrap();
         thread.render(task(1), triangle());
         let event = told.recv_timeout(Duration::from_secs(120)).expect("it is noticed");
-        assert!(matches!(&event, RenderEvent::Failed(reason) if reason.contains("GPU")));
-        // Somebody has insisted on the GPU.
-        assert_eq!((backend.or_fallback().name(), backend.has_fallback()), ("gpu", false));
-        // Nobody has.
-        let backend = backend.as_if_auto();
-        assert_eq!((backend.or_fallback().name(), backend.has_fallback()), ("cpu", true));
-        assert!(backend.or_fallback().note().contains("the GPU has failed"));
+        assert!(matches!(&event, RenderEvent::Failed(reason) if reason.contains("the GPU is lost")));
+        assert_eq!((backend.or_fallback().name(), backend.has_fallback()), (fallback, fallback == "cpu"));
+        assert!(fallback == "gpu" || backend.or_fallback().note().contains("the GPU has failed"));
     }
 }

@@ -8,30 +8,16 @@ use tessera_pack::{
     PackOptions, build_pack,
 };
 use tessera_wire::{Camera, Frame, FrameId, PackId, PixelFormat, Rays, ReturnMode};
-use tessera_worker::BackendError;
 use tessera_worker::gpu::probe::GpuProbe;
-use tessera_worker::gpu::{GpuOptions, TraversalForm};
+use tessera_worker::gpu::{GpuOptions, TestPolicy, TraversalForm};
 
 /// A probe for each form, or none where nothing is to be tested.
 fn probes() -> Option<[GpuProbe; 3]> {
-    let asked = std::env::var("TESSERA_GPU").unwrap_or_else(|_| "allow".into());
-    assert!(
-        ["require", "allow", "off"].contains(&asked.as_str()),
-        "TESSERA_GPU is `require`, `allow` or `off`"
-    );
-    if asked == "off" {
-        eprintln!("GPU tests skipped: TESSERA_GPU=off");
-        return None;
-    }
-    let forms = [TraversalForm::PrivateStack, TraversalForm::ShortStack, TraversalForm::Wavefront];
-    let open = |form| GpuProbe::open(None, GpuOptions { form, ..GpuOptions::default() });
-    match forms.map(open) {
-        [Ok(a), Ok(b), Ok(c)] => Some([a, b, c]),
-        [Err(BackendError::NoAdapter), ..] if asked != "require" => {
-            eprintln!("GPU tests skipped: no adapter");
-            None
-        }
-        failed => panic!("a GPU cannot be opened: {failed:?}"),
+    let policy = TestPolicy::from_env().expect("a known policy");
+    let open = |form| policy.open(GpuOptions { form, ..GpuOptions::default() }).expect("a GPU is required");
+    match TraversalForm::ALL.map(open) {
+        [Some(a), Some(b), Some(c)] => Some([a, b, c]),
+        _ => None,
     }
 }
 

@@ -29,7 +29,7 @@ var<private> line_inverse: vec3<f32>;
 var<private> line_slack: vec3<f32>;
 var<private> line_radius: f32;
 
-/// The cell at hand: its node, its interval, and whether its references have been tested.
+/// The cell at hand: its node and its interval.
 var<private> cell_at: u32;
 var<private> cell_t0: f32;
 var<private> cell_t1: f32;

@@ -5,7 +5,7 @@
 
 use super::cpu;
 use super::gpu::tiles::Tiles;
-use super::gpu::{Gpu, GpuError, GpuOptions, GpuScene, TraversalForm};
+use super::gpu::{Gpu, GpuError, GpuOptions, GpuScene};
 use crate::session::RenderTask;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -23,8 +23,11 @@ const QUADS: u32 = 48;
 /// Sides of the tile: at first, and for devices that take too short a time for that.
 const SIDES: [u32; 3] = [64, 256, 1024];
 
-/// Long enough for the clock and for the start of threads and submissions.
+/// Long enough for the clock and for the start of threads.
 const LONG_ENOUGH: Duration = Duration::from_millis(3);
+
+/// Long enough for the latency of some tens of dispatches and of a readback.
+const LONG_ENOUGH_GPU: Duration = Duration::from_millis(20);
 
 fn scene() -> Option<Pack> {
     let at = |i: u32, j: u32| {
@@ -91,7 +94,11 @@ fn task(pack: &Pack, side: u32) -> Option<RenderTask> {
 
 /// Rays a second by `render`, which takes a tile and says how many rays it had; the first size that takes long enough counts, the
 /// better of two runs. At least 1.
-fn speed<E>(pack: &Pack, mut render: impl FnMut(RenderTask) -> Result<u64, E>) -> Result<u64, E> {
+fn speed<E>(
+    pack: &Pack,
+    long_enough: Duration,
+    mut render: impl FnMut(RenderTask) -> Result<u64, E>,
+) -> Result<u64, E> {
     let mut best = 1.0f64;
     for side in SIDES {
         let Some(task) = task(pack, side) else { break };
@@ -103,7 +110,7 @@ fn speed<E>(pack: &Pack, mut render: impl FnMut(RenderTask) -> Result<u64, E>) -
             shortest = shortest.min(took);
             best = best.max(rays as f64 / took.as_secs_f64().max(1e-9));
         }
-        if shortest >= LONG_ENOUGH {
+        if shortest >= long_enough {
             break;
         }
     }
@@ -117,7 +124,7 @@ fn count(rays: &Rays) -> u64 {
 /// Rays a second of all cores.
 pub(super) fn cpu(kernel: Kernel) -> u64 {
     let Some(pack) = scene() else { return 1 };
-    let measured = speed(&pack, |task| {
+    let measured = speed(&pack, LONG_ENOUGH, |task| {
         let rendered = cpu::render(&pack, kernel, &task.frame, task.rect, &AtomicBool::new(false));
         Ok::<_, std::convert::Infallible>(rendered.map_or(0, |(_, rays)| count(&rays)))
     });
@@ -126,26 +133,13 @@ pub(super) fn cpu(kernel: Kernel) -> u64 {
     }
 }
 
-/// The form that is the fastest on this GPU, and rays a second with it; its kernels compiled before. Also a proof that it works at all.
+/// Rays a second of a GPU, its kernels compiled before. Also a proof that it works at all.
 ///
-/// On a software driver no other form than the wavefront is tried: Mesa's end the loops of a whole path early.
-pub(super) fn gpu(gpu: &Gpu) -> Result<(GpuOptions, u64), GpuError> {
-    let forms = if gpu.is_software() { &[TraversalForm::Wavefront][..] } else { &TraversalForm::ALL };
-    let mut best = (GpuOptions::default(), 0);
-    for &form in forms {
-        let options = GpuOptions { form, ..GpuOptions::default() };
-        let speed = gpu_speed(gpu, options)?;
-        tracing::debug!("{}: {} {speed} rays a second", gpu.adapter().name, form.name());
-        if speed > best.1 {
-            best = (options, speed);
-        }
-    }
-    Ok(best)
-}
-
-fn gpu_speed(gpu: &Gpu, options: GpuOptions) -> Result<u64, GpuError> {
+/// Every worker takes the same form, the wavefront: on a device that fuses products and sums at its compiler's pleasure two forms might differ
+/// in a last bit, and a class is one arithmetic.
+pub(super) fn gpu(gpu: &Gpu) -> Result<u64, GpuError> {
     let Some(pack) = scene() else { return Ok(1) };
-    let scene = Arc::new(GpuScene::load(gpu, &pack, options)?);
+    let scene = Arc::new(GpuScene::load(gpu, &pack, GpuOptions::default())?);
     let mut tiles = Tiles::new(scene)?;
     let mut render = |task| {
         tiles.push(task);
@@ -158,7 +152,7 @@ fn gpu_speed(gpu: &Gpu, options: GpuOptions) -> Result<u64, GpuError> {
     if let Some(first) = task(&pack, 8) {
         render(first)?;
     }
-    speed(&pack, render)
+    speed(&pack, LONG_ENOUGH_GPU, render)
 }
 
 #[cfg(test)]

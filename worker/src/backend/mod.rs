@@ -8,6 +8,7 @@ use gpu::{Gpu, GpuError, GpuOptions, GpuScene};
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 use tessera_wire::PackRefusal;
@@ -125,8 +126,6 @@ pub(crate) enum Engine {
 /// A GPU and the scene that it holds.
 pub(crate) struct GpuEngine {
     gpu: Gpu,
-    /// With the form that was the fastest.
-    options: GpuOptions,
     scene: Mutex<Option<Arc<GpuScene>>>,
 }
 
@@ -135,6 +134,9 @@ impl fmt::Debug for GpuEngine {
         self.gpu.fmt(f)
     }
 }
+
+/// Longer than the render thread keeps a scene that nothing is rendered of.
+const LETTING_GO: Duration = Duration::from_secs(1);
 
 /// Tiles that a GPU is handed before it has finished any: enough that one submission can be computed while the one before is read back.
 const GPU_TILES_AHEAD: usize = 64;
@@ -241,6 +243,11 @@ impl Backend {
                 has,
                 what: format!("the {what} of the GPU {}", engine.gpu.adapter().name),
             }),
+            GpuError::NoMemory => PackFault::Refused(PackRefusal::CannotHold {
+                needs: pack.bytes().len() as u64,
+                has: 0,
+                what: format!("what is free of the memory of the GPU {}", engine.gpu.adapter().name),
+            }),
             error => {
                 self.fail();
                 PackFault::Failed(error.to_string())
@@ -276,18 +283,11 @@ impl Backend {
         self.inner.has_failed.load(Ordering::Relaxed) && self.inner.is_auto
     }
 
-    /// The same, failed, as if the user had left the choice to us.
+    /// As if the user had left the choice to us.
     #[cfg(test)]
-    pub(crate) fn as_if_auto(&self) -> Self {
-        let inner = Inner {
-            kernel: self.inner.kernel,
-            engine: Engine::Cpu,
-            speed: 1,
-            note: String::new(),
-            is_auto: true,
-            has_failed: AtomicBool::new(true),
-        };
-        Self { inner: Arc::new(inner) }
+    pub(crate) fn left_to_us(self) -> Self {
+        let inner = Arc::into_inner(self.inner).expect("nobody else has it yet");
+        Self { inner: Arc::new(Inner { is_auto: true, ..inner }) }
     }
 
     /// How the CPU traces rays, if that is what renders.
@@ -319,9 +319,14 @@ impl GpuEngine {
         if let Some(scene) = held.as_ref().filter(|scene| scene.pack().id() == pack.id()) {
             return Ok(scene.clone());
         }
-        // What was held makes room first.
-        *held = None;
-        let scene = Arc::new(GpuScene::load(&self.gpu, pack, self.options)?);
+        // What was held makes room first, as soon as the render thread has let go of it.
+        if let Some(old) = held.take().as_ref().map(Arc::downgrade) {
+            let begun = Instant::now();
+            while old.strong_count() > 0 && begun.elapsed() < LETTING_GO {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        }
+        let scene = Arc::new(GpuScene::load(&self.gpu, pack, GpuOptions::default())?);
         // Now, and not while the first tile is waited for.
         scene.warm_up()?;
         *held = Some(scene.clone());
@@ -331,11 +336,11 @@ impl GpuEngine {
 
 fn open_gpu(wanted: Option<&str>) -> Result<(GpuEngine, u64), BackendError> {
     let gpu = Gpu::open(wanted, GpuOptions::default().f64)?;
-    let (options, speed) = calibrate::gpu(&gpu).map_err(|error| BackendError::Unusable {
+    let speed = calibrate::gpu(&gpu).map_err(|error| BackendError::Unusable {
         name: gpu.adapter().name.clone(),
         reason: error.to_string(),
     })?;
-    Ok((GpuEngine { gpu, options, scene: Mutex::new(None) }, speed))
+    Ok((GpuEngine { gpu, scene: Mutex::new(None) }, speed))
 }
 
 fn described(gpu: &Gpu) -> String {

@@ -5,8 +5,8 @@ use pollster::block_on;
 use std::sync::OnceLock;
 use wgpu::{Backends, DeviceType, Features, Instance, InstanceDescriptor, InstanceFlags};
 
-/// Storage buffers that a kernel needs at least: four of its own, one for slots, one for words, and two for probes or for
-/// paths that are taken step by step.
+/// Storage buffers that a kernel needs at least: four of its own, one for slots, one for words, and two for paths that are taken step by
+/// step. (Kernels for probes need two more.)
 pub(super) const STORAGE_BUFFERS: u32 = 8;
 
 /// The drivers are looked for once in a process.

@@ -139,6 +139,8 @@ impl Gpu {
         match self.inner.device.poll(wait) {
             Ok(_) => self.check(),
             Err(PollError::Timeout) => {
+                // Dropping a queue waits for it, for ever: this one is kept.
+                std::mem::forget(self.clone());
                 self.check()?;
                 Err(GpuError::Hung { seconds: patience.as_secs() })
             }
@@ -155,6 +157,7 @@ impl Gpu {
         let made = make();
         let errors = [block_on(validation.pop()), block_on(internal.pop()), block_on(memory.pop())];
         match errors.into_iter().flatten().next() {
+            Some(wgpu::Error::OutOfMemory { .. }) => Err(GpuError::NoMemory),
             Some(error) => Err(GpuError::Refused(one_line(&error))),
             None => self.check().map(|()| made),
         }

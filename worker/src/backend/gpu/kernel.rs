@@ -275,10 +275,11 @@ pub(super) fn compile(gpu: &Gpu, key: &KernelKey) -> Result<Kernel, GpuError> {
 /// A module without checks at run time, which cost a third of the time and more.
 #[expect(unsafe_code, reason = "every index was checked when the pack was taken in, and every loop ends")]
 fn shader_module(gpu: &Gpu, descriptor: ShaderModuleDescriptor<'_>) -> wgpu::ShaderModule {
-    // SAFETY: the kernels read a pack's sections at places that come from the pack alone, which `Pack::check` has held to their sections;
-    // write pixels, sums and counts at places that `tiles.rs` and `probe.rs` have sized their buffers for; and keep stacks within the
-    // bounds that hold for a valid tree (`MAX_DEPTH`) and a path (`Variant::path_stack`); states and queues are of the size that
-    // `wavefront.rs` tells the kernels, which queue each state once. Loops run over lists, levels, layers, waiting rays and jobs, each
-    // of which is bounded. No divisor of an integer is 0.
+    // SAFETY: the kernels read a pack's sections at places that come from the pack alone, which was validated when it was taken in
+    // (validate.rs of pack and of kdtree: every index lies in its section, the tree is a tree of at most `MAX_DEPTH`); write pixels, sums,
+    // counts and states at places that `tiles.rs`, `wavefront.rs` and `probe.rs` have sized their buffers for; and keep no more waiting rays
+    // than `Variant::path_stack` of a depth that `FrameParams::MAX_DEPTH` bounds, and for which the kernel was chosen. Loops run over lists,
+    // levels, layers and waiting rays, each of which is bounded; a search ends whatever its numbers are, for each turn leaves a cell of the
+    // tree behind. No divisor of an integer is 0.
     unsafe { gpu.device().create_shader_module_trusted(descriptor, ShaderRuntimeChecks::unchecked()) }
 }

@@ -8,9 +8,10 @@
 //! | `scene.rs` | a pack in its memory |
 //! | `pass.rs` | tiles cut into pieces of bounded work; pure |
 //! | `slot.rs` | the buffers of one submission |
-//! | `tiles.rs` | tiles on their way: submitted, awaited, read back |
+//! | `tiles.rs`, `slot.rs` | tiles on their way: submitted, awaited, read back |
+//! | `wavefront.rs` | paths taken step by step |
 //! | `wavefront.rs` | the same paths step by step, all rays of a kind together |
-//! | `probe.rs` | single rays and paths, for tests and tools |
+//! | `probe.rs`, `policy.rs` | single rays and paths, for tests and tools; whether tests need a GPU |
 //! | `policy.rs` | whether tests need a GPU |
 //!
 //! The work goes in submissions of bounded length, two of them under way: while one is computed, the pixels of the one before are read back.
@@ -58,6 +59,9 @@ pub enum GpuError {
         /// So long.
         seconds: u64,
     },
+    /// The driver has no memory left, whatever the numbers say.
+    #[error("the GPU has no memory left")]
+    NoMemory,
     /// The driver has ended loops of a kernel early.
     #[error(
         "the GPU's driver ends long loops early, so that pictures would be wrong: Mesa's software drivers let a kernel's loops take 65,535 \

@@ -40,7 +40,7 @@ pub(super) enum Together {
     Fitting,
     /// One.
     One,
-    /// All, whatever the budget.
+    /// All: paths are taken step by step, so their number bounds no submission, and a pixel costs the budget 1.
     All,
 }
 
@@ -69,10 +69,15 @@ impl Cut {
     /// Whether the next piece within `budget` takes all samples of its rows.
     pub(super) fn fits(&self, budget: u64) -> bool {
         let is_whole = self.together != Together::One || self.samples == 1;
-        is_whole && self.taken == 0 && budget >= u64::from(self.width) * u64::from(self.samples)
+        is_whole && self.taken == 0 && budget >= u64::from(self.width) * self.cost()
     }
 
-    /// The next piece of about `budget` samples, at least one row and one sample of it.
+    /// What a pixel costs of the budget.
+    pub(super) fn cost(&self) -> u64 {
+        if self.together == Together::All { 1 } else { self.samples.into() }
+    }
+
+    /// The next piece of about `budget` samples (pixels, where all samples stay together), at least one row and one sample of it.
     pub(super) fn next(&mut self, budget: u64) -> Option<Piece> {
         if self.is_done() {
             return None;
@@ -80,7 +85,7 @@ impl Cut {
         let width = u64::from(self.width);
         if self.taken == 0 {
             // As many rows as can be finished now, or else as can have one sample each.
-            let whole = budget / (width * u64::from(self.samples));
+            let whole = budget / (width * self.cost());
             let rows = match self.together {
                 Together::Fitting if whole > 0 => whole,
                 Together::All => whole,

@@ -1,12 +1,11 @@
 //! A pack in a GPU's memory, and the kernels that were compiled for it.
 
-use super::kernel::TraversalForm;
-use super::kernel::{Chunks, GpuOptions, Kernel, KernelKey, Purpose, Stage};
+use super::kernel::{Chunks, GpuOptions, Kernel, KernelKey, Purpose, Stage, TraversalForm};
 use super::wavefront::STATE_BYTES;
 use super::{Gpu, GpuError, tiles};
 use bytemuck::bytes_of;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tessera_pack::Pack;
 use tessera_pack::device::DeviceWords;
 use tessera_whitted::FrameParams;
@@ -27,18 +26,20 @@ pub(crate) struct GpuScene {
     variant: Variant,
 }
 
-/// Storage buffers of a kernel that are not of the scene: jobs, pixels, sums, counts, and two for probes or for paths that are taken step
-/// by step.
+/// Storage buffers of a kernel that are not of the scene: jobs, pixels, sums, counts, and two for paths that are taken step by step.
 const OWN_BINDINGS: u32 = 6;
 
 /// What is kept free beside a scene for pixels and sums, which are bounded by a submission's work.
-const WORKING_BYTES: u64 = 64 << 20;
+const WORKING_BYTES: u64 = 192 << 20;
 
 /// Depths of paths for which kernels are compiled: a frame takes the first that is deep enough.
 const DEPTHS: [u32; 3] = [8, 16, FrameParams::MAX_DEPTH];
 
-/// Written at once at most: the driver holds as much beside it.
+/// Written at once at most; the driver holds as much beside it.
 const WRITE_BYTES: usize = 32 << 20;
+
+/// For that.
+const PATIENCE: Duration = Duration::from_secs(30);
 
 impl GpuScene {
     /// Uploads `pack`, or says why it cannot be held, before anything is uploaded if the numbers tell.
@@ -182,13 +183,7 @@ fn upload(gpu: &Gpu, pieces: &[&[u8]], chunk: u64, total: u64, count: u32) -> Re
         });
         descriptors.map(|descriptor| gpu.device().create_buffer(&descriptor)).collect::<Vec<_>>()
     });
-    let buffers = made.map_err(|error| match error {
-        GpuError::Refused(reason) if reason.contains("Out of Memory") => {
-            let has = gpu.adapter().memory.unwrap_or(0);
-            GpuError::CannotHold { needs: total, has, what: "free memory" }
-        }
-        error => error,
-    })?;
+    let buffers = made?;
     let mut at = 0;
     for piece in pieces {
         let mut rest = *piece;
@@ -197,14 +192,13 @@ fn upload(gpu: &Gpu, pieces: &[&[u8]], chunk: u64, total: u64, count: u32) -> Re
             let length = rest.len().min(WRITE_BYTES).min((chunk - offset) as usize);
             let (now, later) = rest.split_at(length);
             gpu.queue().write_buffer(&buffers[buffer], offset, now);
-            if length == WRITE_BYTES {
-                gpu.queue().submit([]);
-            }
+            // What is on its way is held twice until it is there.
+            let sent = gpu.queue().submit([]);
+            gpu.wait(sent, PATIENCE)?;
             at += length as u64;
             rest = later;
         }
     }
-    gpu.queue().submit([]);
     gpu.check()?;
     Ok(buffers)
 }
@@ -215,7 +209,6 @@ mod tests {
 
     #[test]
     fn what_does_not_fit_a_binding_is_split_and_what_does_not_fit_them_all_is_refused() {
-        let chunks = |slots, words, binding, bindings| chunks(slots, words, binding, bindings);
         let one = Chunks { slot_bindings: 1, slots_log2: 31, word_bindings: 1, words_log2: 31 };
         assert_eq!(chunks(100, 1000, 1000, 2), Some(one));
         assert_eq!(chunks(0, 0, 1000, 2), Some(one), "an empty scene");

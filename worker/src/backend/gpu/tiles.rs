@@ -32,7 +32,10 @@ const TARGET: Duration = Duration::from_millis(100);
 /// After so long without an answer the device is taken for hung: hundreds of times the target.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Samples of a submission: bounds, and what to begin with on a real GPU and on a software driver.
+/// Words of the pixels of a submission, of which two are under way, each with as much to read back from.
+const PIXEL_WORDS_MAX: u64 = 8 << 20;
+
+/// Samples of a submission (pixels, where their paths are taken step by step): bounds, and what to begin with on a real GPU and on a software driver.
 const BUDGET_MIN: u64 = 1 << 12;
 const BUDGET_MAX: u64 = 1 << 24;
 const BUDGET_GPU: u64 = 1 << 20;
@@ -46,7 +49,7 @@ pub(crate) struct Tiles {
     under_way: VecDeque<UnderWay>,
     free: Vec<Slot>,
     sums: Buffer,
-    /// Samples of the next submission.
+    /// What the next submission may cost.
     budget: u64,
     /// Rounds of the next submission, where paths are taken step by step.
     rounds: u32,
@@ -74,7 +77,8 @@ struct UnderWay {
     begun: Instant,
     /// Time that earlier submissions of the same work have taken.
     spent: Duration,
-    samples: u64,
+    /// What it costs the budget.
+    work: u64,
     /// Whether the budget ended it, and not the work.
     is_full: bool,
     words: u64,
@@ -196,7 +200,7 @@ impl Tiles {
         let params = self.waiting[start].params;
         let words_each = u64::from(words_per_pixel(params.format));
         let (mut jobs, mut parts): (Vec<Job>, Vec<Part>) = Default::default();
-        let (mut samples, mut words, mut sums, mut is_full) = (0, 0, 1, false);
+        let (mut work, mut words, mut sums, mut is_full) = (0, 0u64, 1, false);
         let (mut blocks, mut groups) = (0, 1);
 
         // Collect pieces of tiles of one frame until the budget is used up.
@@ -205,7 +209,9 @@ impl Tiles {
             if *tile_params != params || jobs.len() == JOBS {
                 break;
             }
-            let left = self.budget.saturating_sub(samples);
+            // (A pixel costs what it costs the budget, and words of its own.)
+            let room = (PIXEL_WORDS_MAX - words) / words_each * cut.cost();
+            let left = self.budget.saturating_sub(work).min(room);
             if !jobs.is_empty() && !cut.fits(left) {
                 is_full = true;
                 break;
@@ -227,7 +233,7 @@ impl Tiles {
             });
             parts.push(Part { tile: self.first + index as u64, piece, at_pixels: words, is_last });
             *pieces += 1;
-            samples += pixels * u64::from(end_sample - first_sample);
+            work += cost_of(cut, pixels, end_sample - first_sample);
             let of_it = rect.width.div_ceil(GROUP_SIDE).saturating_mul(rows.div_ceil(GROUP_SIDE));
             (blocks, groups) = (blocks + of_it, groups.max(of_it));
             if is_last {
@@ -262,7 +268,7 @@ impl Tiles {
             submission,
             begun,
             spent,
-            samples,
+            work,
             is_full,
             words,
             parts,
@@ -308,17 +314,22 @@ impl Tiles {
     /// Goes on with work that is not finished.
     fn go_on(&mut self, done: UnderWay, took: Duration) -> Result<(), GpuError> {
         let UnderWay { slot, mut run, words, .. } = done;
-        if took > TARGET * 2 {
-            self.rounds = (self.rounds / 2).max(ROUNDS_MIN);
-        } else if took < TARGET / 2 {
-            self.rounds = (self.rounds * 2).min(ROUNDS_MAX);
-        }
+        self.adapt_rounds(took, true);
         let begun = Instant::now();
         let submission = self.encode(&slot, &mut run, words, false);
         self.scene.gpu.check()?;
         let spent = done.spent + took;
         self.under_way.push_back(UnderWay { slot, run, submission, begun, spent, ..done });
         Ok(())
+    }
+
+    /// Takes more or fewer rounds after a submission `took` so long; more only if it had work for all of them.
+    fn adapt_rounds(&mut self, took: Duration, had_more: bool) {
+        if took > TARGET * 2 {
+            self.rounds = (self.rounds / 2).max(ROUNDS_MIN);
+        } else if had_more && took < TARGET / 2 {
+            self.rounds = (self.rounds * 2).min(ROUNDS_MAX);
+        }
     }
 
     /// Waits for a submission and takes its pixels.
@@ -331,13 +342,16 @@ impl Tiles {
             done.slot.readback.unmap();
             return self.go_on(done, took);
         }
-        let UnderWay { slot, spent, samples, is_full, words, parts, .. } = done;
-        let took = spent + took;
-        if took > TARGET * 2 {
+        let UnderWay { slot, run, spent, work, is_full, words, parts, .. } = done;
+        if matches!(run, Run::Waves(_)) {
+            // Rounds bound it.
+            self.adapt_rounds(took, false);
+        } else if took > TARGET * 2 {
             self.budget = (self.budget / 2).max(BUDGET_MIN);
         } else if is_full && took < TARGET / 2 {
             self.budget = (self.budget * 2).min(BUDGET_MAX);
         }
+        let took = spent + took;
         {
             let range = slot.mapped(0, FRONT_BYTES + words * 4)?;
             let (front, pixels): (&[u32], &[u32]) = {
@@ -358,7 +372,7 @@ impl Tiles {
                 tile.rays.refraction += u64::from(counts[3]);
                 let Piece { row, rows, samples: (first, end) } = part.piece;
                 let of_it = u64::from(tile.task.rect.width) * u64::from(rows);
-                let share = of_it as f64 * f64::from(end - first) / samples.max(1) as f64;
+                let share = cost_of(&tile.cut, of_it, end - first) as f64 / work.max(1) as f64;
                 tile.time += took.mul_f64(share);
                 if part.is_last {
                     let format = tile.params.format;
@@ -384,6 +398,11 @@ impl UnderWay {
             Run::Waves(_) => Ok(wavefront::is_done(&self.slot.mapped(COUNT_BYTES, HEAD_BYTES)?)),
         }
     }
+}
+
+/// What so many pixels of a tile cost the budget.
+fn cost_of(cut: &Cut, pixels: u64, samples: u32) -> u64 {
+    pixels * cut.cost().min(samples.into())
 }
 
 /// A device's words as a frame's pixels.

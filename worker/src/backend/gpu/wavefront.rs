@@ -26,7 +26,7 @@ pub(super) const GROUPS_ACROSS: u32 = 65_535;
 /// Rays that a path in flight is advanced in one submission: bounds, and what to begin with.
 pub(super) const ROUNDS_MIN: u32 = 1;
 pub(super) const ROUNDS_MAX: u32 = 64;
-pub(super) const ROUNDS: u32 = 16;
+pub(super) const ROUNDS: u32 = 4;
 
 /// What `Waves` in wavefront.wgsl has before its queues.
 #[repr(C)]
