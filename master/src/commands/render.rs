@@ -245,7 +245,14 @@ impl<'a> Plan<'a> {
 impl FrameArgs {
     /// `workers` processes of this machine, or none and this one.
     pub fn local_crew(&self, workers: u32) -> LocalCrew {
-        LocalCrew { workers, threads: self.threads, backend: self.backend.clone(), opened: None, note: None }
+        LocalCrew {
+            workers,
+            threads: self.threads,
+            backend: self.backend.clone(),
+            opened: None,
+            note: None,
+            is_left_to_us: false,
+        }
     }
 
     /// The view that was asked for, and its name in the scene if it has one.

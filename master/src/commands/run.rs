@@ -1,6 +1,6 @@
 //! Preparing a scene and rendering one frame of it, for every command that does.
 
-use super::backend::BackendArgs;
+use super::backend::{BackendArgs, BackendFlag};
 use super::progress::Progress;
 use super::{CommandError, LogArgs, PackingArgs, args};
 use std::path::Path;
@@ -97,6 +97,16 @@ pub struct LocalCrew {
     pub opened: Option<Backend>,
     /// Why it was chosen, where this process has chosen for all of them.
     pub note: Option<String>,
+    /// Whether the user has left it to us, so that the CPU may take over from a GPU.
+    pub is_left_to_us: bool,
+}
+
+impl LocalCrew {
+    /// The same on the CPU.
+    fn on_cpu(&self) -> Self {
+        let backend = BackendArgs { backend: BackendFlag::Cpu, gpu: None, ..self.backend };
+        Self { backend, opened: None, note: None, is_left_to_us: false, ..*self }
+    }
 }
 
 impl Crew {
@@ -105,6 +115,7 @@ impl Crew {
     pub fn settle_backend(&mut self, progress: &Progress) -> Result<(), CommandError> {
         let Self::Local(crew) = self else { return Ok(()) };
         crew.backend.check()?;
+        crew.is_left_to_us = crew.backend.is_auto();
         let chooses = crew.backend.is_auto() && crew.workers > 1 && has_gpu();
         if !crew.backend.needs_gpu() && !chooses {
             return Ok(());
@@ -145,7 +156,14 @@ pub fn render_frame(
     let runtime = runtime()?;
     let result = runtime.block_on(async {
         match crew {
-            Crew::Local(crew) => frame(pack, job, crew, progress).await,
+            Crew::Local(crew) => match frame(pack, job, crew, progress).await {
+                // A GPU that is too small, is lost or cannot do it; the picture begins anew, all of one class.
+                Err(error) if crew.is_left_to_us && has_gpu() => {
+                    tracing::warn!("{error}; beginning again on the CPU");
+                    frame(pack, job, &crew.on_cpu(), progress).await
+                }
+                result => result,
+            },
             Crew::Master(join) => frame_elsewhere(pack, job, join, progress).await,
         }
     });
