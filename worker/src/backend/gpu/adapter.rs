@@ -108,6 +108,12 @@ fn memory(adapter: &wgpu::Adapter) -> Option<u64> {
     }
 }
 
+/// Metal does not say.
+#[cfg(target_vendor = "apple")]
+fn memory(_: &wgpu::Adapter) -> Option<u64> {
+    None
+}
+
 /// The adapter that `wanted` names (its number, or a part of its name, whatever the case), or the best one that is usable.
 pub(crate) fn choose(wanted: Option<&str>) -> Result<(wgpu::Adapter, Adapter), BackendError> {
     let mut found = found();
