@@ -159,26 +159,36 @@ impl Backend {
     /// The GPU where there is a real one (or `wanted` names one) and it is the faster.
     fn auto(config: &BackendConfig, wanted: Option<&str>) -> Result<Self, BackendError> {
         let adapters = adapters();
-        let real = adapters.iter().find(|a| a.kind != "software" && a.unusable.is_none());
-        let index = real.map(|adapter| adapter.index.to_string());
-        let Some(wanted) = wanted.or(index.as_deref()) else {
-            return Ok(Self::cpu(
-                config,
-                match adapters.first() {
-                    None => "no GPU was found".into(),
-                    Some(adapter) => match &adapter.unusable {
-                        Some(reason) => format!("the GPU {} cannot be used: {reason}", adapter.name),
-                        None => format!("{} is no GPU but a software driver", adapter.name),
-                    },
-                },
-            ));
+        let real = adapters.iter().filter(|a| a.kind != "software" && a.unusable.is_none());
+        let candidates: Vec<String> = match wanted {
+            Some(wanted) => vec![wanted.to_owned()],
+            None => real.map(|adapter| adapter.index.to_string()).collect(),
         };
-        let (engine, speed) = match open_gpu(Some(wanted)) {
-            Ok(opened) => opened,
-            Err(BackendError::Unusable { name, reason }) => {
-                return Ok(Self::cpu(config, format!("the GPU {name} cannot be used: {reason}")));
+
+        // Take the first that works.
+        let mut failed = None;
+        let mut opened = None;
+        for candidate in &candidates {
+            match open_gpu(Some(candidate)) {
+                Ok(it_works) => {
+                    opened = Some(it_works);
+                    break;
+                }
+                Err(BackendError::Unusable { name, reason }) => {
+                    failed.get_or_insert(format!("the GPU {name} cannot be used: {reason}"));
+                }
+                Err(error) => return Err(error),
             }
-            Err(error) => return Err(error),
+        }
+        let Some((engine, speed)) = opened else {
+            let why = failed.unwrap_or_else(|| match adapters.first() {
+                None => "no GPU was found".into(),
+                Some(adapter) => match &adapter.unusable {
+                    Some(reason) => format!("the GPU {} cannot be used: {reason}", adapter.name),
+                    None => format!("{} is no GPU but a software driver", adapter.name),
+                },
+            });
+            return Ok(Self::cpu(config, why));
         };
         let cpu_speed = calibrate::cpu(config.kernel);
         let name = described(&engine.gpu);
@@ -237,22 +247,28 @@ impl Backend {
     /// Whether it can hold `pack`; a GPU takes it into its memory here, which may take a second.
     pub fn check_pack(&self, pack: &Pack) -> Result<(), PackFault> {
         let Engine::Gpu(engine) = &self.inner.engine else { return Ok(()) };
-        engine.scene(pack).map(|_| ()).map_err(|error| match error {
-            GpuError::CannotHold { needs, has, what } => PackFault::Refused(PackRefusal::CannotHold {
-                needs,
-                has,
-                what: format!("the {what} of the GPU {}", engine.gpu.adapter().name),
-            }),
-            GpuError::NoMemory => PackFault::Refused(PackRefusal::CannotHold {
+        let Err(error) = engine.scene(pack) else { return Ok(()) };
+        let name = &engine.gpu.adapter().name;
+        let refusal = match error {
+            GpuError::CannotHold { needs, has, what } => {
+                PackRefusal::CannotHold { needs, has, what: format!("the {what} of the GPU {name}") }
+            }
+            GpuError::NoMemory => PackRefusal::CannotHold {
                 needs: pack.bytes().len() as u64,
                 has: 0,
-                what: format!("what is free of the memory of the GPU {}", engine.gpu.adapter().name),
-            }),
+                what: format!("what is free of the memory of the GPU {name}"),
+            },
             error => {
                 self.fail();
-                PackFault::Failed(error.to_string())
+                return Err(PackFault::Failed(error.to_string()));
             }
-        })
+        };
+        // Who has insisted on the GPU is told; else the CPU can have it.
+        if !self.inner.is_auto {
+            return Err(PackFault::Refused(refusal));
+        }
+        self.fail();
+        Err(PackFault::Failed(refusal.to_string()))
     }
 
     /// How many tiles it is handed before it has finished any; at least 1.
@@ -263,7 +279,7 @@ impl Backend {
         }
     }
 
-    /// Notes that the GPU has failed in the middle of work.
+    /// Notes that the GPU has failed in the middle of work, or at a scene.
     pub(crate) fn fail(&self) {
         self.inner.has_failed.store(true, Ordering::Relaxed);
     }
@@ -275,7 +291,7 @@ impl Backend {
             return self.clone();
         }
         let config = BackendConfig { choice: BackendChoice::Cpu, gpu: None, kernel: self.inner.kernel };
-        Self::cpu(&config, "the GPU has failed".into())
+        Self::cpu(&config, "the GPU has failed, or cannot hold the scene".into())
     }
 
     /// Whether [`Backend::or_fallback`] has something else to offer.
