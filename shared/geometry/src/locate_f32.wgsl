@@ -1,6 +1,6 @@
 // `locate` of triangle.rs for devices without `f64`.
 //
-// The distance is that of the plane, held to the range of the corners' depths: off by TWO_CROSS of the products behind it, which for a
+// The distance is that of the plane, held to the range of the corners' depths: off by roundoffs of the products behind it, which for a
 // triangle that is not seen nearly edge-on is a few roundoffs. (Woop's interpolated distance is off by up to 5e-4 on small far triangles.)
 // Hits of planes that lie nearer to each other than that may change places; none is lost.
 
@@ -60,7 +60,7 @@ fn difference(p: vec2<f32>, q: vec2<f32>) -> f32 {
     return fma(p.x, q.y, -w) + fma(-p.y, q.x, w);
 }
 
-/// The cross product; its operands are differences of corners, exact in f32.
+/// The cross product; its operands are differences of corners that were rounded relative to the origin.
 fn plane_normal(e: vec3<f32>, f: vec3<f32>) -> vec3<f32> {
     return vec3<f32>(difference(e.yz, f.yz), difference(e.zx, f.zx), difference(e.xy, f.xy));
 }

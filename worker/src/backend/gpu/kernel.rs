@@ -16,7 +16,7 @@ use wgpu::{
 /// What a traversal remembers of a ray's way. The answers are the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum TraversalForm {
-    /// A stack as deep as a tree may be, for every ray: simple, the oracle of the other.
+    /// A stack as deep as a tree may be, for every ray: simple, the oracle of the others.
     PrivateStack,
     /// A few entries and a trail of bits; what was forgotten is found again from the root.
     ShortStack,
@@ -272,7 +272,7 @@ pub(super) fn compile(gpu: &Gpu, key: &KernelKey) -> Result<Kernel, GpuError> {
     Ok(Kernel { pipeline, layout, text_bytes })
 }
 
-/// A module without checks at run time, which cost a third of the time and more.
+/// A module without checks at run time: each of them would stand in the innermost loops.
 #[expect(unsafe_code, reason = "every index was checked when the pack was taken in, and every loop ends")]
 fn shader_module(gpu: &Gpu, descriptor: ShaderModuleDescriptor<'_>) -> wgpu::ShaderModule {
     // SAFETY: the kernels read a pack's sections at places that come from the pack alone, which was validated when it was taken in

@@ -10,7 +10,7 @@ use bytemuck::{bytes_of, cast_slice};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
-use tessera_geometry::{Hit, Ray, Vec3};
+use tessera_geometry::{Hit, Ray};
 use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 use tessera_whitted::FrameParams;
@@ -275,11 +275,4 @@ pub fn cpu_frame(pack: &Pack, kernel: Kernel, frame: &tessera_wire::Frame) -> (V
 /// An end of a ray as kernels take it: 'without end' is the largest number; before what is no number, nothing is hit.
 fn finite(t: f32) -> f32 {
     if t.is_nan() { 0.0 } else { t.min(f32::MAX) }
-}
-
-/// A recorded ray's origin and direction.
-pub fn ray_of(words: &[u32; 12]) -> Ray {
-    let [ox, oy, oz, t_min, dx, dy, dz, t_max] = std::array::from_fn(|i| f32::from_bits(words[i]));
-    let t_max = if t_max == f32::MAX { f32::INFINITY } else { t_max };
-    Ray { origin: Vec3::new(ox, oy, oz), direction: Vec3::new(dx, dy, dz), t_min, t_max }
 }
