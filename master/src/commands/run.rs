@@ -13,7 +13,7 @@ use tessera_pack::{Pack, Plain};
 use tessera_scene::{LoadOptions, Without};
 use tessera_trust::Identity;
 use tessera_wire::JoinString;
-use tessera_worker::{Backend, Connected, WorkerConfig, WorkerPipes};
+use tessera_worker::{Backend, Closer, Connected, WorkerConfig, WorkerPipes};
 
 impl PackingArgs {
     /// What the library is to do.
@@ -138,11 +138,130 @@ fn has_gpu() -> bool {
     tessera_worker::adapters().iter().any(|adapter| adapter.unusable.is_none() && adapter.kind != "software")
 }
 
+/// A crew that holds a scene, for as many frames of it as are wanted.
+pub struct Session<'a> {
+    /// There until the session ends.
+    runtime: Option<tokio::runtime::Runtime>,
+    held: Option<Held>,
+    pack: &'a Pack,
+    crew: Crew,
+    progress: &'a Progress,
+    start: Duration,
+    has_failed: bool,
+}
+
+/// Who holds the scene.
+enum Held {
+    /// Workers of this machine.
+    Local(Box<Cluster>),
+    /// A master elsewhere.
+    Elsewhere(Box<Client>, Closer),
+}
+
+impl<'a> Session<'a> {
+    /// Starts the crew, or connects to it, and gives it `pack`.
+    pub fn open(pack: &'a Pack, crew: &Crew, progress: &'a Progress) -> Result<Self, CommandError> {
+        let (crew, start) = (crew.clone(), Duration::ZERO);
+        let (runtime, held) = (Some(runtime()?), None);
+        let mut session = Self { runtime, held, pack, crew, progress, start, has_failed: false };
+        let held = session.hold();
+        session.or_on_cpu(held, Self::hold)?;
+        Ok(session)
+    }
+
+    /// From the first process started to the last worker joined, or until a master elsewhere has let this client in.
+    pub fn start(&self) -> Duration {
+        self.start
+    }
+
+    /// Renders a frame.
+    pub fn render(&mut self, job: &FrameJob) -> Result<FrameResult, CommandError> {
+        let frame = self.frame(job);
+        // The picture begins anew, all of one class.
+        let frame = self.or_on_cpu(frame, |session| session.hold().and_then(|()| session.frame(job)));
+        self.has_failed = frame.is_err();
+        frame
+    }
+
+    /// Sends the crew home. After a failure nobody waits for local workers; they are killed.
+    pub fn close(mut self) {
+        let (Some(runtime), Some(held)) = (&self.runtime, self.held.take()) else { return };
+        let has_failed = self.has_failed;
+        runtime.block_on(async {
+            match held {
+                Held::Local(cluster) if !has_failed => cluster.stop().await,
+                Held::Local(_) => (),
+                Held::Elsewhere(_, closer) => closer.close(false).await,
+            }
+        });
+    }
+
+    fn hold(&mut self) -> Result<(), CommandError> {
+        let Some(runtime) = &self.runtime else { return Err(ended()) };
+        // Those before must not hold a device meanwhile.
+        {
+            let _context = runtime.enter();
+            self.held = None;
+        }
+        let (held, start) = runtime.block_on(hold(self.pack, &self.crew, self.progress))?;
+        (self.held, self.start) = (Some(held), start);
+        Ok(())
+    }
+
+    fn frame(&mut self, job: &FrameJob) -> Result<FrameResult, CommandError> {
+        let (Some(runtime), Some(held)) = (&self.runtime, &mut self.held) else { return Err(ended()) };
+        let bar = self.progress.parts("rendering tiles");
+        runtime.block_on(async {
+            match held {
+                Held::Local(cluster) => {
+                    cluster.render(job, |event| show(&bar, &event)).await.map_err(CommandError::failed)
+                }
+                Held::Elsewhere(client, _) => {
+                    client.render(job, |event| show(&bar, &event)).await.map_err(CommandError::failed)
+                }
+            }
+        })
+    }
+
+    /// `result`, or where a GPU that nobody has insisted on is too small, is lost or cannot do it, that of `again` on the CPU.
+    fn or_on_cpu<T>(
+        &mut self,
+        result: Result<T, CommandError>,
+        again: impl FnOnce(&mut Self) -> Result<T, CommandError>,
+    ) -> Result<T, CommandError> {
+        match (result, &self.crew) {
+            (Err(error), Crew::Local(crew)) if crew.is_left_to_us && has_gpu() => {
+                tracing::warn!("{error}; beginning again on the CPU");
+                self.crew = Crew::Local(crew.on_cpu());
+                again(self)
+            }
+            (result, _) => result,
+        }
+    }
+}
+
+impl Drop for Session<'_> {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            {
+                let _context = runtime.enter();
+                self.held = None;
+            }
+            // An in-process worker may still be in the middle of a tile that nobody waits for.
+            runtime.shutdown_background();
+        }
+    }
+}
+
+fn ended() -> CommandError {
+    CommandError::Failed("the session has ended".into())
+}
+
 /// A frame, and the time that starting the workers took.
 pub struct Rendered {
     /// The frame.
     pub frame: FrameResult,
-    /// From the first process started to the last worker joined, or until a master elsewhere has let this client in.
+    /// See [`Session::start`].
     pub start: Duration,
 }
 
@@ -153,32 +272,26 @@ pub fn render_frame(
     crew: &Crew,
     progress: &Progress,
 ) -> Result<Rendered, CommandError> {
-    let runtime = runtime()?;
-    let result = runtime.block_on(async {
-        match crew {
-            Crew::Local(crew) => match frame(pack, job, crew, progress).await {
-                // A GPU that is too small, is lost or cannot do it; the picture begins anew, all of one class.
-                Err(error) if crew.is_left_to_us && has_gpu() => {
-                    tracing::warn!("{error}; beginning again on the CPU");
-                    frame(pack, job, &crew.on_cpu(), progress).await
-                }
-                result => result,
-            },
-            Crew::Master(join) => frame_elsewhere(pack, job, join, progress).await,
-        }
-    });
-    // An in-process worker may still be in the middle of a tile that nobody waits for.
-    runtime.shutdown_background();
-    result
+    let mut session = Session::open(pack, crew, progress)?;
+    let frame = session.render(job);
+    let start = session.start();
+    session.close();
+    Ok(Rendered { frame: frame?, start })
 }
 
-/// As [`frame`], by a master elsewhere.
-async fn frame_elsewhere(
+/// Gets `crew` to hold `pack`, and says how long it took to start.
+async fn hold(pack: &Pack, crew: &Crew, progress: &Progress) -> Result<(Held, Duration), CommandError> {
+    match crew {
+        Crew::Local(crew) => hold_here(pack, crew, progress).await,
+        Crew::Master(join) => hold_elsewhere(pack, join, progress).await,
+    }
+}
+
+async fn hold_elsewhere(
     pack: &Pack,
-    job: &FrameJob,
     join: &JoinString,
     progress: &Progress,
-) -> Result<Rendered, CommandError> {
+) -> Result<(Held, Duration), CommandError> {
     let begin = Instant::now();
     let own = Identity::new().map_err(CommandError::failed)?;
     let Connected { pipes, closer } = {
@@ -187,42 +300,38 @@ async fn frame_elsewhere(
     };
     let WorkerPipes { control_in, control_out, bulk_in, bulk_out } = pipes;
     let pipes = Pipes { control_in, control_out, bulk_in, bulk_out };
-    let rendered = frame_over(pipes, pack, job, join, progress, begin).await;
-    closer.close(false).await;
-    rendered
+    match give(pipes, pack, join, progress, begin).await {
+        Ok((client, start)) => Ok((Held::Elsewhere(Box::new(client), closer), start)),
+        Err(error) => {
+            closer.close(false).await;
+            Err(error)
+        }
+    }
 }
 
-/// As [`frame`], by the master behind `pipes`, which were asked for at `begin`.
-async fn frame_over(
+/// Makes the master behind `pipes`, which were asked for at `begin`, hold `pack`.
+async fn give(
     pipes: Pipes,
     pack: &Pack,
-    job: &FrameJob,
     join: &JoinString,
     progress: &Progress,
     begin: Instant,
-) -> Result<Rendered, CommandError> {
+) -> Result<(Client, Duration), CommandError> {
     let mut client =
         Client::join(pipes, join.token, super::worker::own_name()).await.map_err(CommandError::failed)?;
     let start = begin.elapsed();
     tracing::info!("the master at {} has let this client in after {start:.1?}", join.address());
-    {
-        let bar = progress.bytes("sending the scene");
-        let took = client.load(pack, |event| show(&bar, &event)).await.map_err(CommandError::failed)?;
-        tracing::info!("the master holds the scene after {took:.1?}");
-    }
-    let frame = {
-        let bar = progress.parts("rendering tiles");
-        client.render(job, |event| show(&bar, &event)).await.map_err(CommandError::failed)?
-    };
-    Ok(Rendered { frame, start })
+    let bar = progress.bytes("sending the scene");
+    let took = client.load(pack, |event| show(&bar, &event)).await.map_err(CommandError::failed)?;
+    tracing::info!("the master holds the scene after {took:.1?}");
+    Ok((client, start))
 }
 
-async fn frame(
+async fn hold_here(
     pack: &Pack,
-    job: &FrameJob,
     crew: &LocalCrew,
     progress: &Progress,
-) -> Result<Rendered, CommandError> {
+) -> Result<(Held, Duration), CommandError> {
     let begin = Instant::now();
     let mut cluster = {
         let _bar = progress.step("starting workers");
@@ -232,17 +341,10 @@ async fn frame(
     };
     let start = begin.elapsed();
     tracing::info!("all workers have joined after {start:.1?}");
-    {
-        let bar = progress.bytes("sending the scene");
-        let took = cluster.load(pack, |event| show(&bar, &event)).await.map_err(CommandError::failed)?;
-        tracing::info!("all workers hold the scene after {took:.1?}");
-    }
-    let frame = {
-        let bar = progress.parts("rendering tiles");
-        cluster.render(job, |event| show(&bar, &event)).await.map_err(CommandError::failed)?
-    };
-    cluster.stop().await;
-    Ok(Rendered { frame, start })
+    let bar = progress.bytes("sending the scene");
+    let took = cluster.load(pack, |event| show(&bar, &event)).await.map_err(CommandError::failed)?;
+    tracing::info!("all workers hold the scene after {took:.1?}");
+    Ok((Held::Local(Box::new(cluster)), start))
 }
 
 fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
