@@ -1,13 +1,14 @@
 //! Preparing a scene and rendering one frame of it, for every command that does.
 
 use super::backend::{BackendArgs, BackendFlag};
-use super::progress::Progress;
+use super::progress::{Bar, Progress};
 use super::{CommandError, LogArgs, PackingArgs, args};
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tessera_master::prepare::{PrepareOptions, Prepared, prepare};
 use tessera_master::{
-    Client, Cluster, ClusterConfig, FrameJob, FrameResult, Link, LocalWorkers, Pipes, Workers,
+    Client, Cluster, ClusterConfig, FrameBuffer, FrameJob, FrameResult, ImageHash, Link, LocalWorkers, OutputFile,
+    Pipes, PngStream, Workers,
 };
 use tessera_pack::{Pack, Plain};
 use tessera_scene::{LoadOptions, Without};
@@ -139,32 +140,153 @@ fn has_gpu() -> bool {
 }
 
 /// A frame, and the time that starting the workers took.
-pub struct Rendered {
+pub struct Rendered<I = FrameBuffer> {
     /// The frame.
-    pub frame: FrameResult,
+    pub frame: FrameResult<I>,
     /// From the first process started to the last worker joined, or until a master elsewhere has let this client in.
     pub start: Duration,
 }
 
-/// Renders one frame of `pack`.
+/// An image that was written to a file.
+#[derive(Clone, Copy, Debug)]
+pub struct Written {
+    /// Of the image.
+    pub hash: ImageHash,
+    /// From the last tile to the file in place.
+    pub write: Duration,
+}
+
+/// Renders one frame of `pack` and keeps its image.
 pub fn render_frame(
     pack: &Pack,
     job: &FrameJob,
     crew: &Crew,
     progress: &Progress,
 ) -> Result<Rendered, CommandError> {
+    render_with(pack, job, crew, progress, &Keep)
+}
+
+/// Renders one frame of `pack`, of 8 or 16 bits, to a PNG file whose rows are written as they become complete.
+pub fn render_to_png(
+    pack: &Pack,
+    job: &FrameJob,
+    crew: &Crew,
+    progress: &Progress,
+    file: &OutputFile,
+) -> Result<Rendered<Written>, CommandError> {
+    render_with(pack, job, crew, progress, &ToPng(file))
+}
+
+/// What becomes of an image.
+trait Target {
+    /// What is left of it.
+    type Image;
+
+    /// Has workers of this machine render it.
+    async fn from_cluster(
+        &self,
+        cluster: &mut Cluster,
+        job: &FrameJob,
+        bar: &Bar,
+    ) -> Result<FrameResult<Self::Image>, CommandError>;
+
+    /// Has a master elsewhere render it.
+    async fn from_master(
+        &self,
+        client: &mut Client,
+        job: &FrameJob,
+        bar: &Bar,
+    ) -> Result<FrameResult<Self::Image>, CommandError>;
+}
+
+/// It is kept.
+struct Keep;
+
+impl Target for Keep {
+    type Image = FrameBuffer;
+
+    async fn from_cluster(
+        &self,
+        cluster: &mut Cluster,
+        job: &FrameJob,
+        bar: &Bar,
+    ) -> Result<FrameResult, CommandError> {
+        cluster.render(job, |event| show(bar, &event)).await.map_err(CommandError::failed)
+    }
+
+    async fn from_master(
+        &self,
+        client: &mut Client,
+        job: &FrameJob,
+        bar: &Bar,
+    ) -> Result<FrameResult, CommandError> {
+        client.render(job, |event| show(bar, &event)).await.map_err(CommandError::failed)
+    }
+}
+
+/// Its rows go to a file.
+struct ToPng<'a>(&'a OutputFile);
+
+impl ToPng<'_> {
+    fn begin(&self, job: &FrameJob) -> Result<PngStream, CommandError> {
+        PngStream::begin(self.0, job.width, job.height, job.format).map_err(CommandError::failed)
+    }
+
+    async fn finish(
+        stream: PngStream,
+        frame: FrameResult<()>,
+    ) -> Result<FrameResult<Written>, CommandError> {
+        let begin = Instant::now();
+        let hash = stream.finish().await.map_err(CommandError::failed)?;
+        Ok(frame.with_image(Written { hash, write: begin.elapsed() }).0)
+    }
+}
+
+impl Target for ToPng<'_> {
+    type Image = Written;
+
+    async fn from_cluster(
+        &self,
+        cluster: &mut Cluster,
+        job: &FrameJob,
+        bar: &Bar,
+    ) -> Result<FrameResult<Written>, CommandError> {
+        let mut stream = self.begin(job)?;
+        let frame = cluster.render_rows(job, &mut stream, |event| show(bar, &event)).await;
+        Self::finish(stream, frame.map_err(CommandError::failed)?).await
+    }
+
+    async fn from_master(
+        &self,
+        client: &mut Client,
+        job: &FrameJob,
+        bar: &Bar,
+    ) -> Result<FrameResult<Written>, CommandError> {
+        let mut stream = self.begin(job)?;
+        let frame = client.render_rows(job, &mut stream, |event| show(bar, &event)).await;
+        Self::finish(stream, frame.map_err(CommandError::failed)?).await
+    }
+}
+
+fn render_with<T: Target>(
+    pack: &Pack,
+    job: &FrameJob,
+    crew: &Crew,
+    progress: &Progress,
+    target: &T,
+) -> Result<Rendered<T::Image>, CommandError> {
     let runtime = runtime()?;
     let result = runtime.block_on(async {
         match crew {
-            Crew::Local(crew) => match frame(pack, job, crew, progress).await {
+            Crew::Local(crew) => match frame(pack, job, crew, progress, target).await {
                 // A GPU that is too small, is lost or cannot do it; the picture begins anew, all of one class.
                 Err(error) if crew.is_left_to_us && has_gpu() => {
                     tracing::warn!("{error}; beginning again on the CPU");
-                    frame(pack, job, &crew.on_cpu(), progress).await
+                    frame(pack, job, &crew.on_cpu(), progress, target).await
                 }
                 result => result,
             },
-            Crew::Master(join) => frame_elsewhere(pack, job, join, progress).await,
+            Crew::Master(join) => frame_elsewhere(pack, job, join, progress, target).await,
         }
     });
     // An in-process worker may still be in the middle of a tile that nobody waits for.
@@ -173,12 +295,13 @@ pub fn render_frame(
 }
 
 /// As [`frame`], by a master elsewhere.
-async fn frame_elsewhere(
+async fn frame_elsewhere<T: Target>(
     pack: &Pack,
     job: &FrameJob,
     join: &JoinString,
     progress: &Progress,
-) -> Result<Rendered, CommandError> {
+    target: &T,
+) -> Result<Rendered<T::Image>, CommandError> {
     let begin = Instant::now();
     let own = Identity::new().map_err(CommandError::failed)?;
     let Connected { pipes, closer } = {
@@ -187,20 +310,20 @@ async fn frame_elsewhere(
     };
     let WorkerPipes { control_in, control_out, bulk_in, bulk_out } = pipes;
     let pipes = Pipes { control_in, control_out, bulk_in, bulk_out };
-    let rendered = frame_over(pipes, pack, job, join, progress, begin).await;
+    let rendered = frame_over(pipes, pack, job, (join, begin), progress, target).await;
     closer.close(false).await;
     rendered
 }
 
-/// As [`frame`], by the master behind `pipes`, which were asked for at `begin`.
-async fn frame_over(
+/// As [`frame`], by the master of `join` behind `pipes`, which were asked for at `begin`.
+async fn frame_over<T: Target>(
     pipes: Pipes,
     pack: &Pack,
     job: &FrameJob,
-    join: &JoinString,
+    (join, begin): (&JoinString, Instant),
     progress: &Progress,
-    begin: Instant,
-) -> Result<Rendered, CommandError> {
+    target: &T,
+) -> Result<Rendered<T::Image>, CommandError> {
     let mut client =
         Client::join(pipes, join.token, super::worker::own_name()).await.map_err(CommandError::failed)?;
     let start = begin.elapsed();
@@ -212,17 +335,18 @@ async fn frame_over(
     }
     let frame = {
         let bar = progress.parts("rendering tiles");
-        client.render(job, |event| show(&bar, &event)).await.map_err(CommandError::failed)?
+        target.from_master(&mut client, job, &bar).await?
     };
     Ok(Rendered { frame, start })
 }
 
-async fn frame(
+async fn frame<T: Target>(
     pack: &Pack,
     job: &FrameJob,
     crew: &LocalCrew,
     progress: &Progress,
-) -> Result<Rendered, CommandError> {
+    target: &T,
+) -> Result<Rendered<T::Image>, CommandError> {
     let begin = Instant::now();
     let mut cluster = {
         let _bar = progress.step("starting workers");
@@ -239,13 +363,13 @@ async fn frame(
     }
     let frame = {
         let bar = progress.parts("rendering tiles");
-        cluster.render(job, |event| show(&bar, &event)).await.map_err(CommandError::failed)?
+        target.from_cluster(&mut cluster, job, &bar).await?
     };
     cluster.stop().await;
     Ok(Rendered { frame, start })
 }
 
-fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
+fn show(bar: &Bar, event: &tessera_master::Progress<'_>) {
     match *event {
         tessera_master::Progress::Sent { bytes, total } => bar.set(bytes, total),
         tessera_master::Progress::Tiles { done, total } => {
