@@ -1,7 +1,8 @@
 //! A client of a master elsewhere: what [`crate::Cluster`] is to workers of its own.
 
 use crate::{
-    ClassDifference, ClassPart, FrameBuffer, FrameJob, FrameResult, Progress, Timings, Traffic, WorkerReport,
+    ClassDifference, ClassPart, FrameBuffer, FrameJob, FrameResult, OutputError, PngStream, Progress,
+    Timings, Traffic, WorkerReport,
     image::NoRoom,
     transport::{PipeError, Pipes, read_message, reason, write_message, write_pack},
 };
@@ -35,6 +36,9 @@ pub enum ClientError {
     /// This side has no memory for the image.
     #[error(transparent)]
     NoRoom(#[from] NoRoom),
+    /// The file that takes the rows cannot be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
     /// It has cut the connection, and says why.
     #[error("the master has cut the connection: {code}: {detail}")]
     Cut {
@@ -116,8 +120,43 @@ impl Client {
     pub async fn render(
         &mut self,
         job: &FrameJob,
-        mut progress: impl FnMut(Progress<'_>),
+        progress: impl FnMut(Progress<'_>),
     ) -> Result<FrameResult, ClientError> {
+        let result = self.run(job, progress).await?;
+        // As long as the master has announced.
+        let mut image = FrameBuffer::new(job.width, job.height, job.format)?;
+        self.pipes.bulk_in.read_exact(image.data_mut()).await.map_err(PipeError::Io)?;
+        Ok(result.with_image(image).0)
+    }
+
+    /// The same, with the image's rows going to `stream` as they come, for which the caller then calls [`PngStream::finish`]. The master
+    /// sends them when the frame is complete, and holds it until then; here only some are held at a time.
+    pub async fn render_rows(
+        &mut self,
+        job: &FrameJob,
+        stream: &mut PngStream,
+        progress: impl FnMut(Progress<'_>),
+    ) -> Result<FrameResult<()>, ClientError> {
+        let result = self.run(job, progress).await?;
+        let row = job.width as usize * job.format.bytes_per_pixel();
+        // At most 65,536 pixels of 8 bytes in a row.
+        let rows = (limits::CHUNK_BYTES as usize / row).max(1);
+        let mut left = job.height as usize;
+        while left > 0 {
+            let mut bytes = vec![0; rows.min(left) * row];
+            self.pipes.bulk_in.read_exact(&mut bytes).await.map_err(PipeError::Io)?;
+            stream.push(bytes).await?;
+            left -= rows.min(left);
+        }
+        Ok(result)
+    }
+
+    /// A frame but for its pixels, which are what comes next.
+    async fn run(
+        &mut self,
+        job: &FrameJob,
+        mut progress: impl FnMut(Progress<'_>),
+    ) -> Result<FrameResult<()>, ClientError> {
         let pack = self.pack.ok_or_else(|| ClientError::Protocol("no scene is loaded".into()))?;
         self.frames += 1;
         let frame = job.to_wire(FrameId(self.frames), pack);
@@ -155,10 +194,7 @@ impl Client {
         let summary = read_message::<FrameSummary>(&mut self.pipes.bulk_in, limits::HEADER_BYTES).await?;
         let (summary, _) = summary.ok_or_else(|| ClientError::Lost("it ends before the image".into()))?;
         summary.check(&frame).map_err(ClientError::Protocol)?;
-        // Just checked to be as long as announced.
-        let mut image = FrameBuffer::new(job.width, job.height, job.format)?;
-        self.pipes.bulk_in.read_exact(image.data_mut()).await.map_err(PipeError::Io)?;
-        Ok(result(summary, pack, image))
+        Ok(result(summary, pack))
     }
 
     async fn write(&mut self, message: FromClient) -> Result<(), ClientError> {
@@ -197,7 +233,7 @@ fn unexpected(message: &ToClient) -> ClientError {
     ClientError::Protocol(format!("`{name}` does not belong here"))
 }
 
-fn result(summary: FrameSummary, pack: PackId, image: FrameBuffer) -> FrameResult {
+fn result(summary: FrameSummary, pack: PackId) -> FrameResult<()> {
     let [send_scene, render, return_, frame] = summary.times_us.map(Duration::from_micros);
     let [sent, received, udp_sent, udp_received] = summary.traffic;
     let worker = |worker: tessera_wire::WorkerSummary| WorkerReport {
@@ -225,7 +261,7 @@ fn result(summary: FrameSummary, pack: PackId, image: FrameBuffer) -> FrameResul
         psnr_db: found.psnr_db,
     };
     FrameResult {
-        image,
+        image: (),
         pack: tessera_pack::PackId(pack.0),
         classes: summary.classes.into_iter().map(class).collect(),
         differences: summary.differences.into_iter().map(difference).collect(),

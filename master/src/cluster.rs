@@ -1,7 +1,7 @@
 //! Workers that have joined, and what they are asked for.
 
 use crate::{
-    FrameJob, FrameResult, Link, Progress, Timings, Traffic,
+    FrameJob, FrameResult, Link, OutputError, PngStream, Progress, Timings, Traffic,
     admission::{Admission, Admitted},
     coordinator::{BeginError, Coordinator, Event, FrameStatus, Outcome, Output},
     door::{self, Door, Guest},
@@ -265,13 +265,59 @@ impl Cluster {
     ) -> Result<FrameResult, RenderError> {
         let pack = self.pack.ok_or(RenderError::NoPack)?;
         self.coordinator.begin(job, self.now())?;
+        let outcome = self.run(job, None, &mut progress).await?;
+        Ok(self.result(pack, outcome))
+    }
+
+    /// The same, with the image's rows going to `stream` as they become complete, for which the caller then calls
+    /// [`PngStream::finish`]. Memory is held for rows that wait for those above them alone, a few bands of tiles where workers are about
+    /// equally fast and are given tiles one after the other; for the whole image if the job may mix classes.
+    pub async fn render_rows(
+        &mut self,
+        job: &FrameJob,
+        stream: &mut PngStream,
+        mut progress: impl FnMut(Progress<'_>),
+    ) -> Result<FrameResult<()>, RenderError> {
+        let pack = self.pack.ok_or(RenderError::NoPack)?;
+        self.coordinator.begin_rows(job, self.now())?;
+        let outcome = self.run(job, Some(stream), &mut progress).await?;
+        let (result, rest) = self.result(pack, outcome).with_image(());
+        stream.push(rest.into_rows()).await?;
+        Ok(result)
+    }
+
+    /// Sees the frame that has begun to its end.
+    async fn run(
+        &mut self,
+        job: &FrameJob,
+        mut stream: Option<&mut PngStream>,
+        progress: &mut impl FnMut(Progress<'_>),
+    ) -> Result<Outcome, RenderError> {
         self.counters.tile_bytes.fetch_max(job.tile_bytes(), Ordering::Relaxed);
         loop {
             for event in self.carry_out() {
-                self.report(event, &mut progress);
+                let written = match (event, &mut stream) {
+                    (Event::Rows(rows), Some(stream)) => stream.push(rows).await,
+                    (event @ Event::Restarted { .. }, Some(stream)) => {
+                        self.report(event, progress);
+                        stream.restart()
+                    }
+                    (event, _) => {
+                        self.report(event, progress);
+                        Ok(())
+                    }
+                };
+                if let Err(error) = written {
+                    self.coordinator.finish(self.now());
+                    return Err(error.into());
+                }
             }
             match self.coordinator.status() {
                 FrameStatus::Pending => self.wait().await,
+                FrameStatus::NoRoom(no_room) => {
+                    self.coordinator.finish(self.now());
+                    return Err(BeginError::NoRoom(no_room).into());
+                }
                 FrameStatus::Failed { done, total } => {
                     self.coordinator.finish(self.now());
                     return Err(RenderError::AllLost { done, total, last: self.last_lost.clone() });
@@ -279,7 +325,7 @@ impl Cluster {
                 FrameStatus::Done => {
                     if let Some(outcome) = self.coordinator.finish(self.now()) {
                         self.carry_out();
-                        return Ok(self.result(pack, outcome));
+                        return Ok(outcome);
                     }
                 }
             }
@@ -535,7 +581,7 @@ impl Cluster {
             Event::Restarted { from, to, dropped } => {
                 progress(Progress::Restarted { from: &from, to: &to, dropped });
             }
-            Event::PackHeld(_) => {}
+            Event::PackHeld(_) | Event::Rows(_) => {}
         }
     }
 
@@ -643,6 +689,9 @@ pub enum RenderError {
     /// The job is out of range, or its image too large.
     #[error(transparent)]
     Job(#[from] BeginError),
+    /// The file that takes the rows cannot be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
     /// `load` has not succeeded.
     #[error("no scene is loaded")]
     NoPack,

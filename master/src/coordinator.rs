@@ -63,6 +63,9 @@ pub enum Event {
         /// Tiles that were in the image.
         dropped: u32,
     },
+    /// The next rows of the image from the top are complete, in a frame that [`Coordinator::begin_rows`] has begun: whole rows without
+    /// padding. After [`Event::Restarted`] they begin at the top again.
+    Rows(Vec<u8>),
     /// Another tile is in the image.
     Tile {
         /// So far.
@@ -79,6 +82,8 @@ pub enum FrameStatus {
     Pending,
     /// Every tile is in, and what classes of a mix are compared by.
     Done,
+    /// Rows that wait for those above them do not fit the memory that is left.
+    NoRoom(NoRoom),
     /// No worker is left, and none has come in time; `done` of `total` tiles are in.
     Failed {
         /// Tiles in.
@@ -102,7 +107,7 @@ pub enum BeginError {
 /// A complete frame; what the driver adds to it becomes a [`crate::FrameResult`].
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// The image.
+    /// The rows that have not been given out by [`Event::Rows`]: all of the image, or none.
     pub image: FrameBuffer,
     /// Classes of its tiles, those with most first.
     pub classes: Vec<ClassPart>,
@@ -241,6 +246,9 @@ impl Coordinator {
         };
         match active.tile(worker, entry, pixels, wire_bytes, now) {
             Ok(true) => {
+                while let Some(rows) = active.due_rows() {
+                    self.outputs.push_back(Output::Event(Event::Rows(rows)));
+                }
                 let (done, total) = (active.dispatch.done(), active.dispatch.total());
                 self.outputs.push_back(Output::Event(Event::Tile { done, total }));
                 if done == total {
@@ -320,9 +328,22 @@ impl Coordinator {
     /// The job is out of range, or its image too large for this machine. Without a loaded pack or holders the frame begins, and fails
     /// unless a worker comes in time.
     pub fn begin(&mut self, job: &FrameJob, now: Duration) -> Result<FrameId, BeginError> {
+        self.begin_as(job, false, now)
+    }
+
+    /// The same, but rows are given out by [`Event::Rows`] as soon as they and all above them are complete, and are held no longer. A
+    /// frame that may mix classes is held whole nevertheless: its tiles are looked at again when classes are compared.
+    ///
+    /// # Errors
+    /// Those of [`Coordinator::begin`].
+    pub fn begin_rows(&mut self, job: &FrameJob, now: Duration) -> Result<FrameId, BeginError> {
+        self.begin_as(job, !job.mix, now)
+    }
+
+    fn begin_as(&mut self, job: &FrameJob, gives_rows: bool, now: Duration) -> Result<FrameId, BeginError> {
         let id = FrameId(self.frames_begun + 1);
         let frame = job.to_wire(id, self.pack.map_or(PackId([0; 32]), |offer| offer.pack));
-        let mut active = Active::new(frame, job, now)?;
+        let mut active = Active::new(frame, job, gives_rows, now)?;
         self.frames_begun += 1;
         let holders = self.holders().count();
         let class = self.fastest_class().filter(|_| !job.mix);
@@ -409,6 +430,7 @@ impl Coordinator {
     /// How the current frame stands.
     pub fn status(&self) -> FrameStatus {
         match &self.frame {
+            Some(Active { no_room: Some(no_room), .. }) => FrameStatus::NoRoom(*no_room),
             Some(active) if active.is_over() => FrameStatus::Done,
             Some(active) if active.given_up => {
                 FrameStatus::Failed { done: active.dispatch.done(), total: active.dispatch.total() }

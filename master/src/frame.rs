@@ -168,9 +168,9 @@ impl fmt::Display for Progress<'_> {
 
 /// A frame and how it came about.
 #[derive(Clone, Debug)]
-pub struct FrameResult {
-    /// The image.
-    pub image: FrameBuffer,
+pub struct FrameResult<I = FrameBuffer> {
+    /// The image, or what is known of one whose rows have gone elsewhere.
+    pub image: I,
     /// The pack that was rendered.
     pub pack: PackId,
     /// The arithmetics that rendered it, those with most tiles first: one, unless the job lets them be mixed.
@@ -192,7 +192,36 @@ pub struct FrameResult {
     pub dropped_tiles: u64,
 }
 
-impl FrameResult {
+impl<I> FrameResult<I> {
+    /// The same with another account of the image, and this one.
+    pub fn with_image<J>(self, image: J) -> (FrameResult<J>, I) {
+        let Self {
+            image: before,
+            pack,
+            classes,
+            differences,
+            idle,
+            workers,
+            timings,
+            traffic,
+            rays,
+            dropped_tiles,
+        } = self;
+        let after = FrameResult {
+            image,
+            pack,
+            classes,
+            differences,
+            idle,
+            workers,
+            timings,
+            traffic,
+            rays,
+            dropped_tiles,
+        };
+        (after, before)
+    }
+
     /// The arithmetic that rendered it, if it is one.
     pub fn numeric_class(&self) -> Option<&str> {
         match &self.classes[..] {

@@ -1,6 +1,7 @@
-//! The frame buffer, its hash, and PNG and EXR files.
+//! The frame buffer, its hash, and EXR files.
 
 use crate::output::{OutputError, OutputFile};
+use crate::png::write_png;
 use std::fmt;
 use std::io::{Seek, Write};
 
@@ -64,6 +65,29 @@ impl fmt::Display for ImageHash {
     }
 }
 
+/// Makes an [`ImageHash`] of rows as they come.
+#[derive(Clone, Debug)]
+pub(crate) struct ImageHasher(blake3::Hasher);
+
+impl ImageHasher {
+    pub(crate) fn new(width: u32, height: u32, format: PixelFormat) -> Self {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(format.name().as_bytes());
+        hasher.update(&width.to_le_bytes());
+        hasher.update(&height.to_le_bytes());
+        Self(hasher)
+    }
+
+    /// The next bytes of the rows, from the top.
+    pub(crate) fn update(&mut self, bytes: &[u8]) {
+        self.0.update(bytes);
+    }
+
+    pub(crate) fn finish(&self) -> ImageHash {
+        ImageHash(*self.0.finalize().as_bytes())
+    }
+}
+
 impl FrameBuffer {
     /// An image of zeros. The caller has checked the size against its limits: `width * height * bytes_per_pixel` bytes are taken.
     ///
@@ -104,6 +128,16 @@ impl FrameBuffer {
     /// All rows from the top, without padding.
     pub fn data(&self) -> &[u8] {
         &self.data
+    }
+
+    /// An image without rows.
+    pub(crate) fn without_rows(width: u32, format: PixelFormat) -> Self {
+        Self { width, height: 0, format, data: Vec::new() }
+    }
+
+    /// All rows from the top, without padding.
+    pub(crate) fn into_rows(self) -> Vec<u8> {
+        self.data
     }
 
     /// All rows, to be filled.
@@ -149,37 +183,20 @@ impl FrameBuffer {
 
     /// BLAKE3 of the format's name, width and height (`u32`, little endian) and the rows.
     pub fn hash(&self) -> ImageHash {
-        let mut hasher = blake3::Hasher::new();
-        hasher.update(self.format.name().as_bytes());
-        hasher.update(&self.width.to_le_bytes());
-        hasher.update(&self.height.to_le_bytes());
+        let mut hasher = ImageHasher::new(self.width, self.height, self.format);
         hasher.update(&self.data);
-        ImageHash(*hasher.finalize().as_bytes())
+        hasher.finish()
     }
 
     /// Writes the image to `file`: EXR for [`PixelFormat::Layers`], else PNG.
     pub fn write(&self, file: &OutputFile) -> Result<(), OutputError> {
         match self.format {
             PixelFormat::Layers => file.write(|w| write_exr(self, w)),
-            PixelFormat::Rgba8 | PixelFormat::Rgba16 => file.write(|w| write_png(self, w)),
+            PixelFormat::Rgba8 | PixelFormat::Rgba16 => {
+                let rows = std::iter::once(Ok(&self.data));
+                file.write(|w| write_png(self.width, self.height, self.format, rows, w))
+            }
         }
-    }
-}
-
-fn write_png(image: &FrameBuffer, to: &mut (impl Write + Seek)) -> image::ImageResult<()> {
-    use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
-    let encoder = PngEncoder::new(to);
-    match image.format {
-        PixelFormat::Rgba16 => {
-            // The encoder takes 16-bit samples in the machine's order and turns them into PNG's.
-            let samples: Vec<u8> = image
-                .data
-                .chunks_exact(2)
-                .flat_map(|b| u16::from_le_bytes([b[0], b[1]]).to_ne_bytes())
-                .collect();
-            encoder.write_image(&samples, image.width, image.height, ExtendedColorType::Rgba16)
-        }
-        _ => encoder.write_image(&image.data, image.width, image.height, ExtendedColorType::Rgba8),
     }
 }
 

@@ -4,6 +4,7 @@
 //! frame, [`Cluster::stop`] sends them home. [`Service`] does that for clients, one of which is [`Client`].
 
 mod admission;
+mod bands;
 mod client;
 mod clients;
 mod cluster;
@@ -19,6 +20,7 @@ mod line;
 mod net;
 pub mod output;
 mod packs;
+mod png;
 pub mod prepare;
 pub mod report;
 mod service;
@@ -38,6 +40,7 @@ pub use frame::{
 pub use image::{FrameBuffer, ImageHash, PixelFormat};
 pub use net::UdpBuffers;
 pub use output::{OutputError, OutputFile};
+pub use png::PngStream;
 pub use prepare::{PrepareError, PrepareOptions, Prepared};
 pub use service::{Service, ServiceConfig};
 pub use transport::{Link, Pipes, Reader, Writer};

@@ -170,7 +170,7 @@ pub struct Milliseconds {
     pub return_: f64,
     /// `render` + `return`.
     pub frame: f64,
-    /// Writing the image file.
+    /// Writing the image file, as far as rendering has not hidden it: PNG files are written while the frame is rendered.
     pub write: f64,
 }
 
@@ -224,13 +224,13 @@ pub struct RenderFacts<'a> {
     pub hash: ImageHash,
     /// Time that starting the workers took.
     pub start: Duration,
-    /// Time that writing the file took.
+    /// Time that writing the file took beyond the frame's own.
     pub write: Duration,
 }
 
 impl RenderReport {
     /// Puts together what the parts of a render know.
-    pub fn new(facts: RenderFacts<'_>, result: &FrameResult) -> Self {
+    pub fn new<I>(facts: RenderFacts<'_>, result: &FrameResult<I>) -> Self {
         let RenderFacts { prepared, job, camera, backend_note, kernel, gpu_kernel, out, hash, start, write } =
             facts;
         let traffic = &result.traffic;

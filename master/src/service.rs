@@ -127,7 +127,7 @@ async fn perform(cluster: &mut Cluster, job: &mut Job) -> Result<FrameResult, Fr
         cluster.load(&pack.pack, tell).await.map_err(|e| crew(e.to_string()))?;
         let result = cluster.render(frame, tell).await.map_err(|e| match e {
             RenderError::Job(e) => FrameFailure::Invalid { detail: e.to_string() },
-            RenderError::NoPack | RenderError::AllLost { .. } => crew(e.to_string()),
+            RenderError::NoPack | RenderError::AllLost { .. } | RenderError::Output(_) => crew(e.to_string()),
         })?;
         let traffic = result.traffic.since(&before);
         Ok(FrameResult { traffic, ..result })

@@ -3,7 +3,7 @@
 use super::args::{Size, Triple, field_of_view};
 use super::backend::BackendArgs;
 use super::progress::Progress;
-use super::run::{Crew, LocalCrew, Rendered, prepare_scene, render_frame};
+use super::run::{Crew, LocalCrew, Session, Written, prepare_scene};
 use super::{CommandError, PackingArgs, SceneArgs};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -12,7 +12,7 @@ use std::time::Instant;
 use tessera_geometry::{CameraPose, DVec3};
 use tessera_master::prepare::{Prepared, choose_camera};
 use tessera_master::report::{CameraReport, RenderFacts, RenderReport};
-use tessera_master::{Balance, FrameJob, OutputFile, PixelFormat};
+use tessera_master::{Balance, FrameJob, FrameResult, OutputFile, PixelFormat};
 use tessera_whitted::variant::Variant;
 use tessera_wire::{Features, FrameError, TileGrid, limits};
 
@@ -215,9 +215,12 @@ impl<'a> Plan<'a> {
             balance: args.balance,
             mix: args.mix,
         };
-        let Rendered { frame, start } = render_frame(&prepared.pack, &job, &self.crew, progress)?;
-        let begin = Instant::now();
-        frame.image.write(&self.out).map_err(CommandError::failed)?;
+        let mut session = Session::open(&prepared.pack, &self.crew, progress)?;
+        let frame = self.render_to_file(&mut session, &job);
+        let start = session.start();
+        session.close();
+        let frame = frame?;
+        let Written { hash, write } = frame.image;
         let facts = RenderFacts {
             prepared,
             job: &job,
@@ -230,15 +233,32 @@ impl<'a> Plan<'a> {
             gpu_kernel: (frame.workers.iter().any(|worker| worker.backend == "gpu" && worker.tiles > 0))
                 .then(|| Variant::of(&prepared.pack).name()),
             out: self.out.path().to_owned(),
-            hash: frame.image.hash(),
+            hash,
             start,
-            write: begin.elapsed(),
+            write,
         };
         let report = RenderReport::new(facts, &frame);
         if let Some(file) = &self.report {
             file.write(|to| serde_json::to_writer_pretty(to, &report)).map_err(CommandError::failed)?;
         }
         if args.json { super::print_json(&report) } else { super::print_text(&report.text()) }
+    }
+
+    /// PNG files take rows as they become complete, EXR files the whole image.
+    fn render_to_file(
+        &self,
+        session: &mut Session<'_>,
+        job: &FrameJob,
+    ) -> Result<FrameResult<Written>, CommandError> {
+        if self.format != PixelFormat::Layers {
+            return session.render_to_png(job, &self.out);
+        }
+        let frame = session.render(job)?;
+        let begin = Instant::now();
+        frame.image.write(&self.out).map_err(CommandError::failed)?;
+        let write = begin.elapsed();
+        let hash = frame.image.hash();
+        Ok(frame.with_image(Written { hash, write }).0)
     }
 }
 

@@ -1,13 +1,14 @@
 //! Preparing a scene and rendering one frame of it, for every command that does.
 
 use super::backend::{BackendArgs, BackendFlag};
-use super::progress::Progress;
+use super::progress::{Bar, Progress};
 use super::{CommandError, LogArgs, PackingArgs, args};
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tessera_master::prepare::{PrepareOptions, Prepared, prepare};
 use tessera_master::{
-    Client, Cluster, ClusterConfig, FrameJob, FrameResult, Link, LocalWorkers, Pipes, Workers,
+    Client, Cluster, ClusterConfig, FrameBuffer, FrameJob, FrameResult, ImageHash, Link, LocalWorkers,
+    OutputFile, Pipes, PngStream, Workers,
 };
 use tessera_pack::{Pack, Plain};
 use tessera_scene::{LoadOptions, Without};
@@ -174,11 +175,28 @@ impl<'a> Session<'a> {
         self.start
     }
 
-    /// Renders a frame.
+    /// Renders a frame and keeps its image.
     pub fn render(&mut self, job: &FrameJob) -> Result<FrameResult, CommandError> {
-        let frame = self.frame(job);
+        self.render_with(job, &Keep)
+    }
+
+    /// Renders a frame of 8 or 16 bits to a PNG file whose rows are written as they become complete.
+    pub fn render_to_png(
+        &mut self,
+        job: &FrameJob,
+        file: &OutputFile,
+    ) -> Result<FrameResult<Written>, CommandError> {
+        self.render_with(job, &ToPng(file))
+    }
+
+    fn render_with<T: Target>(
+        &mut self,
+        job: &FrameJob,
+        target: &T,
+    ) -> Result<FrameResult<T::Image>, CommandError> {
+        let frame = self.frame(job, target);
         // The picture begins anew, all of one class.
-        let frame = self.or_on_cpu(frame, |session| session.hold().and_then(|()| session.frame(job)));
+        let frame = self.or_on_cpu(frame, |session| session.hold().and_then(|()| session.frame(job, target)));
         self.has_failed = frame.is_err();
         frame
     }
@@ -208,17 +226,17 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    fn frame(&mut self, job: &FrameJob) -> Result<FrameResult, CommandError> {
+    fn frame<T: Target>(
+        &mut self,
+        job: &FrameJob,
+        target: &T,
+    ) -> Result<FrameResult<T::Image>, CommandError> {
         let (Some(runtime), Some(held)) = (&self.runtime, &mut self.held) else { return Err(ended()) };
         let bar = self.progress.parts("rendering tiles");
         runtime.block_on(async {
             match held {
-                Held::Local(cluster) => {
-                    cluster.render(job, |event| show(&bar, &event)).await.map_err(CommandError::failed)
-                }
-                Held::Elsewhere(client, _) => {
-                    client.render(job, |event| show(&bar, &event)).await.map_err(CommandError::failed)
-                }
+                Held::Local(cluster) => target.from_cluster(cluster, job, &bar).await,
+                Held::Elsewhere(client, _) => target.from_master(client, job, &bar).await,
             }
         })
     }
@@ -257,26 +275,101 @@ fn ended() -> CommandError {
     CommandError::Failed("the session has ended".into())
 }
 
-/// A frame, and the time that starting the workers took.
-pub struct Rendered {
-    /// The frame.
-    pub frame: FrameResult,
-    /// See [`Session::start`].
-    pub start: Duration,
+/// An image that was written to a file.
+#[derive(Clone, Copy, Debug)]
+pub struct Written {
+    /// Of the image.
+    pub hash: ImageHash,
+    /// From the last tile to the file in place.
+    pub write: Duration,
 }
 
-/// Renders one frame of `pack`.
-pub fn render_frame(
-    pack: &Pack,
-    job: &FrameJob,
-    crew: &Crew,
-    progress: &Progress,
-) -> Result<Rendered, CommandError> {
-    let mut session = Session::open(pack, crew, progress)?;
-    let frame = session.render(job);
-    let start = session.start();
-    session.close();
-    Ok(Rendered { frame: frame?, start })
+/// What becomes of an image.
+trait Target {
+    /// What is left of it.
+    type Image;
+
+    /// Has workers of this machine render it.
+    async fn from_cluster(
+        &self,
+        cluster: &mut Cluster,
+        job: &FrameJob,
+        bar: &Bar,
+    ) -> Result<FrameResult<Self::Image>, CommandError>;
+
+    /// Has a master elsewhere render it.
+    async fn from_master(
+        &self,
+        client: &mut Client,
+        job: &FrameJob,
+        bar: &Bar,
+    ) -> Result<FrameResult<Self::Image>, CommandError>;
+}
+
+/// It is kept.
+struct Keep;
+
+impl Target for Keep {
+    type Image = FrameBuffer;
+
+    async fn from_cluster(
+        &self,
+        cluster: &mut Cluster,
+        job: &FrameJob,
+        bar: &Bar,
+    ) -> Result<FrameResult, CommandError> {
+        cluster.render(job, |event| show(bar, &event)).await.map_err(CommandError::failed)
+    }
+
+    async fn from_master(
+        &self,
+        client: &mut Client,
+        job: &FrameJob,
+        bar: &Bar,
+    ) -> Result<FrameResult, CommandError> {
+        client.render(job, |event| show(bar, &event)).await.map_err(CommandError::failed)
+    }
+}
+
+/// Its rows go to a file.
+struct ToPng<'a>(&'a OutputFile);
+
+impl ToPng<'_> {
+    fn begin(&self, job: &FrameJob) -> Result<PngStream, CommandError> {
+        PngStream::begin(self.0, job.width, job.height, job.format).map_err(CommandError::failed)
+    }
+
+    async fn finish(stream: PngStream, frame: FrameResult<()>) -> Result<FrameResult<Written>, CommandError> {
+        let begin = Instant::now();
+        let hash = stream.finish().await.map_err(CommandError::failed)?;
+        Ok(frame.with_image(Written { hash, write: begin.elapsed() }).0)
+    }
+}
+
+impl Target for ToPng<'_> {
+    type Image = Written;
+
+    async fn from_cluster(
+        &self,
+        cluster: &mut Cluster,
+        job: &FrameJob,
+        bar: &Bar,
+    ) -> Result<FrameResult<Written>, CommandError> {
+        let mut stream = self.begin(job)?;
+        let frame = cluster.render_rows(job, &mut stream, |event| show(bar, &event)).await;
+        Self::finish(stream, frame.map_err(CommandError::failed)?).await
+    }
+
+    async fn from_master(
+        &self,
+        client: &mut Client,
+        job: &FrameJob,
+        bar: &Bar,
+    ) -> Result<FrameResult<Written>, CommandError> {
+        let mut stream = self.begin(job)?;
+        let frame = client.render_rows(job, &mut stream, |event| show(bar, &event)).await;
+        Self::finish(stream, frame.map_err(CommandError::failed)?).await
+    }
 }
 
 /// Gets `crew` to hold `pack`, and says how long it took to start.
@@ -347,7 +440,7 @@ async fn hold_here(
     Ok((Held::Local(Box::new(cluster)), start))
 }
 
-fn show(bar: &super::progress::Bar, event: &tessera_master::Progress<'_>) {
+fn show(bar: &Bar, event: &tessera_master::Progress<'_>) {
     match *event {
         tessera_master::Progress::Sent { bytes, total } => bar.set(bytes, total),
         tessera_master::Progress::Tiles { done, total } => {

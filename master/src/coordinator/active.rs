@@ -2,8 +2,10 @@
 
 use super::{BeginError, Outcome};
 use crate::{
-    ClassDifference, ClassPart, FrameBuffer, FrameJob, Timings, WorkerReport,
+    ClassDifference, ClassPart, FrameJob, Timings, WorkerReport,
+    bands::{Canvas, Fault},
     dispatch::{Assignment, Check, Checks, Dispatch, Violation, choose},
+    image::NoRoom,
 };
 use std::{
     cmp::Reverse,
@@ -27,8 +29,10 @@ pub(super) struct Active {
     pub(super) alone: Option<Duration>,
     pub(super) given_up: bool,
     pub(super) last_rendered: Duration,
+    /// Set when rows that must wait do not fit any more.
+    pub(super) no_room: Option<NoRoom>,
     grid: TileGrid,
-    image: FrameBuffer,
+    image: Canvas,
     rays: Rays,
     /// From whom each tile of the image is, for a mix.
     origins: BTreeMap<TileId, WorkerId>,
@@ -40,9 +44,15 @@ pub(super) struct Active {
 
 impl Active {
     /// A frame that nobody has a part in yet; [`Active::assemble`] comes next.
-    pub(super) fn new(frame: Frame, job: &FrameJob, now: Duration) -> Result<Self, BeginError> {
+    pub(super) fn new(
+        frame: Frame,
+        job: &FrameJob,
+        gives_rows: bool,
+        now: Duration,
+    ) -> Result<Self, BeginError> {
         let grid = frame.check()?;
-        let image = FrameBuffer::new(job.width, job.height, job.format)?;
+        let image =
+            if gives_rows { Canvas::bands(grid, job.format) } else { Canvas::whole(&grid, job.format)? };
         let (dispatch, _) = Dispatch::start(&grid, job.balance, job.samples, &[], now);
         Ok(Self {
             frame,
@@ -55,6 +65,7 @@ impl Active {
             alone: None,
             given_up: false,
             last_rendered: now,
+            no_room: None,
             grid,
             image,
             rays: Rays::default(),
@@ -77,7 +88,8 @@ impl Active {
         for (_, report) in &mut self.reports {
             (report.tiles, report.render) = (0, Duration::ZERO);
         }
-        // The image is written over: the frame is complete only when each tile has come again.
+        // The frame is complete only when each tile has come again.
+        self.image.restart();
         (self.rays, self.alone) = (Rays::default(), None);
         self.due.clear();
         self.class = class;
@@ -109,15 +121,15 @@ impl Active {
         let not_there = Violation::NotAssigned { tile: entry.tile.0, attempt: entry.attempt.0 };
         let rect = self.grid.rect(entry.tile).ok_or_else(|| not_there.to_string())?;
         let expected =
-            u64::from(rect.width) * u64::from(rect.height) * self.image.format().bytes_per_pixel() as u64;
+            u64::from(rect.width) * u64::from(rect.height) * self.job.format.bytes_per_pixel() as u64;
         if pixels.len() as u64 != expected {
             return Err(format!("tile {} has {} bytes instead of {expected}", entry.tile.0, pixels.len()));
         }
         let report = self.reports.iter_mut().find(|(w, _)| *w == worker).map(|(_, report)| report);
         let checks = self.checks.as_mut();
         if let Some(difference) = checks.and_then(|c| c.take(worker, entry.tile, entry.attempt)) {
-            let in_image = self.image.get(rect.x, rect.y, rect.width, rect.height);
-            difference.add(self.image.format(), &in_image.unwrap_or_default(), pixels);
+            let in_image = self.image.get(rect);
+            difference.add(self.job.format, &in_image.unwrap_or_default(), pixels);
             self.dispatch.compared(worker, now);
             if let Some(report) = report {
                 report.bytes_returned += wire_bytes;
@@ -136,7 +148,11 @@ impl Active {
             }
         }
         if first {
-            self.image.put(rect.x, rect.y, rect.width, rect.height, pixels).map_err(|e| e.to_string())?;
+            match self.image.put(rect, pixels) {
+                Ok(()) => {}
+                Err(Fault::Tile(e)) => return Err(e.to_string()),
+                Err(Fault::NoRoom(no_room)) => self.no_room = Some(no_room),
+            }
             self.rays += entry.rays;
             self.due.insert(worker, now + limits::RETURN_TIMEOUT);
             if self.job.mix {
@@ -149,6 +165,11 @@ impl Active {
             }
         }
         Ok(first)
+    }
+
+    /// The next rows of the image that are complete, if it is given out by rows.
+    pub(super) fn due_rows(&mut self) -> Option<Vec<u8>> {
+        self.image.due_rows()
     }
 
     /// The image is complete: what other classes render of it once more, so that the report can say how far they differ.
@@ -211,7 +232,7 @@ impl Active {
     }
 
     pub(super) fn deadline(&self) -> Option<Duration> {
-        if self.is_over() || self.given_up {
+        if self.is_over() || self.given_up || self.no_room.is_some() {
             return None;
         }
         let checks = self.checks.iter().filter_map(Checks::deadline);
@@ -251,7 +272,7 @@ impl Active {
             frame: since_begin(completed),
         };
         let classes = self.parts();
-        let format = self.image.format();
+        let format = self.job.format;
         let found = self.checks.into_iter().flat_map(Checks::into_found);
         let differences = found.map(|(classes, found)| ClassDifference {
             classes,
@@ -262,7 +283,7 @@ impl Active {
             psnr_db: found.psnr_db(format),
         });
         Some(Outcome {
-            image: self.image,
+            image: self.image.into_rest(),
             classes,
             differences: differences.collect(),
             idle,

@@ -44,6 +44,16 @@ impl TileGrid {
         Ok(grid)
     }
 
+    /// Columns and rows of the image.
+    pub fn size(&self) -> (u32, u32) {
+        (self.width, self.height)
+    }
+
+    /// Side of a tile that is not cut.
+    pub fn tile(&self) -> u32 {
+        self.tile
+    }
+
     /// Tiles in a row.
     pub fn columns(&self) -> u32 {
         self.width.div_ceil(self.tile)
