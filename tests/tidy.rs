@@ -7,18 +7,19 @@ use std::path::{Path, PathBuf};
 use toml::Table;
 
 /// Doors: a crate and the crates that it may depend on. An arrow allows the whole chain behind it.
-const DOORS: [(&str, &[&str]); 11] = [
+const DOORS: [(&str, &[&str]); 12] = [
     ("tessera-geometry", &[]),
     ("tessera-wire", &[]),
     ("tessera-trust", &["tessera-wire"]),
     ("tessera-scene", &["tessera-geometry"]),
+    ("tessera-oracle", &["tessera-scene"]),
     ("tessera-quantize", &["tessera-geometry"]),
     ("tessera-kdtree", &["tessera-geometry"]),
     ("tessera-pack", &["tessera-kdtree", "tessera-quantize"]),
     ("tessera-whitted", &["tessera-pack"]),
     ("tessera-worker", &["tessera-trust", "tessera-pack", "tessera-whitted"]),
     ("tessera-master", &["tessera-trust", "tessera-pack", "tessera-scene"]),
-    ("tessera", &["tessera-master", "tessera-worker"]),
+    ("tessera", &["tessera-master", "tessera-worker", "tessera-oracle"]),
 ];
 
 /// Crates that may be named by these manifests only.

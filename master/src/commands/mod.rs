@@ -13,6 +13,8 @@ mod interrupt;
 mod join;
 mod master;
 mod pack;
+#[allow(dead_code, unused_imports, reason = "the benches that report by pages follow")]
+mod page;
 mod progress;
 mod render;
 mod run;
