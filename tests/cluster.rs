@@ -53,6 +53,7 @@ pub fn job(pack: &Pack, balance: Balance) -> FrameJob {
         height: 100,
         tile: 32,
         samples: 1,
+        sampling: Default::default(),
         depth: 2,
         seed: 0,
         features: Features::default(),

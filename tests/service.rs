@@ -286,6 +286,7 @@ async fn packs_and_frames_that_cannot_be_are_refused_and_do_no_harm() {
         height: 8,
         tile: 8,
         samples: 1,
+        sampling: Default::default(),
         depth: 0,
         seed: 0,
         features: Default::default(),

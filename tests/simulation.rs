@@ -733,6 +733,7 @@ impl World {
             height: side(self),
             tile: [4, 8, 16, 31, 200][self.below(5) as usize],
             samples: 1,
+            sampling: Default::default(),
             depth: 4,
             seed: 0,
             features: Features::default(),

@@ -31,6 +31,7 @@ fn frame(pack: &Pack) -> Frame {
         height: SIDE,
         tile: SIDE,
         samples: 1,
+        sampling: Default::default(),
         depth: 8,
         seed: 0,
         features: Features::default(),

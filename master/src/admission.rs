@@ -112,7 +112,7 @@ mod tests {
             speed: 0,
             note: String::new(),
         };
-        Hello { versions: vec![3], token, name: "w".into(), role: Role::Worker(abilities) }
+        Hello { versions: vec![4], token, name: "w".into(), role: Role::Worker(abilities) }
     }
 
     fn peer(number: u32) -> Fingerprint {

@@ -4,7 +4,7 @@ use crate::{Balance, FrameBuffer};
 use std::{fmt, time::Duration};
 use tessera_geometry::{LocalCamera, Vec3};
 use tessera_pack::PackId;
-use tessera_wire::{Camera, Features, Frame, FrameId, PixelFormat, Rays};
+use tessera_wire::{Camera, Features, Frame, FrameId, PixelFormat, Rays, Sampling};
 
 /// One frame of the loaded pack.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,8 +17,10 @@ pub struct FrameJob {
     pub height: u32,
     /// Side of a tile.
     pub tile: u32,
-    /// Samples a pixel.
+    /// Samples a pixel; with adaptive sampling the most that one gets.
     pub samples: u32,
+    /// How they are taken.
+    pub sampling: Sampling,
     /// Reflections and refractions a path may take.
     pub depth: u32,
     /// Seed of the sampler.
@@ -36,15 +38,29 @@ pub struct FrameJob {
 impl FrameJob {
     /// The job as a message.
     pub fn to_wire(&self, frame: FrameId, pack: tessera_wire::PackId) -> Frame {
-        let Self { camera, width, height, tile, samples, depth, seed, features, format, balance, .. } = *self;
+        let Self { camera, width, height, tile, samples, sampling, depth, seed, features, format, .. } = *self;
         let camera = Camera {
             origin: camera.origin.to_array(),
             forward: camera.forward.to_array(),
             right: camera.right.to_array(),
             up: camera.up.to_array(),
         };
-        let returns = balance.returns();
-        Frame { frame, pack, camera, width, height, tile, samples, depth, seed, features, format, returns }
+        let returns = self.balance.returns();
+        Frame {
+            frame,
+            pack,
+            camera,
+            width,
+            height,
+            tile,
+            samples,
+            sampling,
+            depth,
+            seed,
+            features,
+            format,
+            returns,
+        }
     }
 }
 
@@ -57,14 +73,14 @@ impl FrameJob {
 
     /// The job of a client.
     pub(crate) fn from_wire(frame: &Frame, balance: Balance, mix: bool) -> Self {
-        let Frame { camera, width, height, tile, samples, depth, seed, features, format, .. } = *frame;
+        let Frame { camera, width, height, tile, samples, sampling, depth, seed, features, format, .. } = *frame;
         let camera = LocalCamera {
             origin: Vec3::from_array(camera.origin),
             forward: Vec3::from_array(camera.forward),
             right: Vec3::from_array(camera.right),
             up: Vec3::from_array(camera.up),
         };
-        Self { camera, width, height, tile, samples, depth, seed, features, format, balance, mix }
+        Self { camera, width, height, tile, samples, sampling, depth, seed, features, format, balance, mix }
     }
 }
 

@@ -143,6 +143,7 @@ fn render(pack: &Pack) {
                 width: 8,
                 height: 8,
                 samples: 1,
+                sampling: Default::default(),
                 max_depth: 3,
                 frame: 0,
                 features: Features::default(),

@@ -104,6 +104,17 @@ impl Other for Device {
     }
 }
 
+fn wire_sampling(sampling: tessera_whitted::Sampling) -> tessera_wire::Sampling {
+    tessera_wire::Sampling {
+        sampler: match sampling.sampler {
+            tessera_whitted::Sampler::Jittered => tessera_wire::Sampler::Jittered,
+            tessera_whitted::Sampler::LowDiscrepancy => tessera_wire::Sampler::LowDiscrepancy,
+        },
+        cutoff: sampling.cutoff,
+        adaptive: sampling.adaptive.map(|a| tessera_wire::Adaptive { error: a.error }),
+    }
+}
+
 /// `params` as a master would ask for them.
 pub fn wire_frame(pack: &Pack, params: &FrameParams) -> Frame {
     let FrameParams { camera, features, .. } = params;
@@ -120,6 +131,7 @@ pub fn wire_frame(pack: &Pack, params: &FrameParams) -> Frame {
         height: params.height,
         tile: params.width.max(params.height),
         samples: params.samples,
+        sampling: wire_sampling(params.sampling),
         depth: params.max_depth,
         seed: params.frame,
         features: Features {

@@ -29,6 +29,7 @@ fn a_frame_has_one_hash_for_any_number_of_workers_and_every_balancing() {
                 height: params.height,
                 tile: if workers % 2 == 0 { 32 } else { 48 },
                 samples: 2,
+                sampling: Default::default(),
                 depth: 4,
                 seed: 7,
                 features: Features::default(),

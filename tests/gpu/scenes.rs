@@ -31,6 +31,7 @@ fn check_prepared(name: &str, prepared: &Prepared, other: &dyn Other) {
         width: SIZE,
         height: SIZE,
         samples: 1,
+        sampling: Default::default(),
         max_depth: 8,
         frame: 0,
         features: Features::default(),

@@ -215,6 +215,7 @@ mod tests {
             height: 512,
             tile: 512,
             samples,
+            sampling: Default::default(),
             depth: 1,
             seed: 0,
             features: Features::default(),

@@ -125,6 +125,7 @@ fn frame(pack: &Pack, (width, height): (u32, u32), samples: u32, format: PixelFo
         height,
         tile: 48,
         samples,
+        sampling,
         depth: 6,
         seed: 7,
         features: Default::default(),

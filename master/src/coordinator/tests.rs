@@ -182,6 +182,7 @@ fn job(mix: bool, balance: Balance) -> FrameJob {
         height: 64,
         tile: 8,
         samples: 1,
+        sampling: Default::default(),
         depth: 1,
         seed: 0,
         features: Features::default(),

@@ -19,7 +19,8 @@ fn encode_unit(value: f64, max_code: f64) -> u16 {
     (value * max_code + 0.5) as u16
 }
 
-fn srgb_from_linear(linear: f64) -> f64 {
+/// The sRGB-coded value of linear light, both in [0, 1].
+pub(crate) fn srgb_from_linear(linear: f64) -> f64 {
     if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * libm::pow(linear, 1.0 / 2.4) - 0.055 }
 }
 

@@ -3,6 +3,7 @@
 use crate::color::encode_srgb;
 use crate::environment::level_ahead;
 use crate::pixel::straight_codes;
+use crate::sample::Sampler;
 use crate::{FrameParams, PixelFormat};
 use bytemuck::{Pod, Zeroable};
 use tessera_geometry::Vec3;
@@ -208,7 +209,9 @@ pub struct FrameInfo {
     pub(crate) features: u32,
     pub(crate) format: u32,
     pub(crate) zero: u32,
-    pub(crate) reserved: [u32; 3],
+    pub(crate) sampler: u32,
+    pub(crate) cutoff: f32,
+    pub(crate) is_adaptive: u32,
 }
 
 const _: () = assert!(size_of::<FrameInfo>() == 96);
@@ -216,7 +219,7 @@ const _: () = assert!(size_of::<FrameInfo>() == 96);
 impl FrameInfo {
     /// That of a frame.
     pub fn of(params: &FrameParams) -> Self {
-        let FrameParams { camera, features, .. } = params;
+        let FrameParams { camera, features, sampling, .. } = params;
         Self {
             eye: camera.origin.into(),
             width: params.width,
@@ -231,13 +234,18 @@ impl FrameInfo {
             features: u32::from(features.shadows)
                 | u32::from(features.reflection) << 1
                 | u32::from(features.refraction) << 2,
-            format: match params.format {
+            format: match device_format(params) {
                 PixelFormat::Rgba8 => 0,
                 PixelFormat::Rgba16 => 1,
                 PixelFormat::Layers => 2,
             },
             zero: 0,
-            reserved: [0; 3],
+            sampler: match sampling.sampler {
+                Sampler::Jittered => 0,
+                Sampler::LowDiscrepancy => 1,
+            },
+            cutoff: sampling.cutoff,
+            is_adaptive: params.adaptive().is_some().into(),
         }
     }
 }
@@ -256,15 +264,27 @@ pub struct Job {
     pub height: u32,
     /// First sample of this pass.
     pub first_sample: u32,
-    /// The sample after its last one; the last pass ends at the frame's number of samples.
+    /// The sample after its last one.
     pub end_sample: u32,
+    /// First sample of the round: that of its first pass.
+    pub round_first: u32,
+    /// The sample after its last one, with which its last pass ends. Without adaptive sampling the frame's samples are one round.
+    pub round_end: u32,
     /// First word of its pixels in the buffer of pixels.
     pub at_pixels: u32,
     /// First of its blocks of 8 x 8 pixels, those of the jobs before it counted.
     pub first_block: u32,
 }
 
-const _: () = assert!(size_of::<Job>() == 32);
+const _: () = assert!(size_of::<Job>() == 40);
+
+/// What the pixels of a frame are in a GPU's buffer. With adaptive sampling the host codes colours, of the sums of all rounds.
+pub fn device_format(params: &FrameParams) -> PixelFormat {
+    match params.format {
+        PixelFormat::Rgba8 if params.adaptive().is_some() => PixelFormat::Rgba16,
+        format => format,
+    }
+}
 
 /// Words of a pixel in a GPU's buffer: 8-bit codes; or linear colour, premultiplied, and alpha as `f32`; or the layers as they are.
 pub const fn words_per_pixel(format: PixelFormat) -> u32 {

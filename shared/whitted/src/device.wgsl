@@ -55,9 +55,12 @@ struct FrameInfo {
     format: u32,
     /// 0; see arithmetic.wgsl.
     zero: u32,
-    reserved_a: u32,
-    reserved_b: u32,
-    reserved_c: u32,
+    /// SAMPLER_*.
+    sampler: u32,
+    /// Weight below which a ray is not traced.
+    cutoff: f32,
+    /// 1 where the host divides the samples of a pixel into rounds, and is given the sum of each round.
+    is_adaptive: u32,
 }
 
 /// Pixels to render, and where they go.
@@ -66,9 +69,12 @@ struct Job {
     y: u32,
     width: u32,
     height: u32,
-    /// The samples to take now; the first pass begins at 0, the last one ends at `frame.samples`.
+    /// The samples to take now, of those of the round: its first pass begins where it does, and its last one ends there.
     first_sample: u32,
     end_sample: u32,
+    /// The samples whose sum is wanted: from 0 to `frame.samples` where there is one round.
+    round_first: u32,
+    round_end: u32,
     /// The first word of its pixels.
     at_pixels: u32,
     /// The first of its blocks of 8 x 8 pixels, those of the jobs before it counted: see wavefront.wgsl.
@@ -78,6 +84,9 @@ struct Job {
 const FEATURE_SHADOWS: u32 = 1u;
 const FEATURE_REFLECTION: u32 = 2u;
 const FEATURE_REFRACTION: u32 = 4u;
+
+const SAMPLER_JITTERED: u32 = 0u;
+const SAMPLER_LOW_DISCREPANCY: u32 = 1u;
 
 const FORMAT_RGBA8: u32 = 0u;
 const FORMAT_RGBA16: u32 = 1u;

@@ -1,5 +1,6 @@
 //! What a frame asks for.
 
+use crate::sample::Sampler;
 use tessera_geometry::LocalCamera;
 
 /// Everything but the scene that a pixel depends on.
@@ -11,8 +12,10 @@ pub struct FrameParams {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Samples a pixel, >= 1; one sample goes through the pixel's centre.
+    /// Samples a pixel, >= 1; one sample goes through the pixel's centre. With adaptive sampling the most that a pixel gets.
     pub samples: u32,
+    /// How they are taken.
+    pub sampling: Sampling,
     /// Reflections and refractions a path may take, 0..=[`FrameParams::MAX_DEPTH`].
     pub max_depth: u32,
     /// Seed of the sampler: the frame's number.
@@ -26,6 +29,37 @@ pub struct FrameParams {
 impl FrameParams {
     /// Greatest `max_depth`: the path stack's bound.
     pub const MAX_DEPTH: u32 = 32;
+}
+
+/// How the samples of a frame are taken: where they lie, how far their paths are followed, and how many a part of the image gets.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sampling {
+    /// Where the samples of a pixel lie.
+    pub sampler: Sampler,
+    /// Weight in a pixel below which a ray is not traced, [0, 1]. With 0 only depth and layers end a path: up to 2^depth rays behind a
+    /// sample that meets mirroring glass.
+    pub cutoff: f32,
+    /// Whether parts of the image that are good enough get fewer samples; `None`: all get the same.
+    pub adaptive: Option<Adaptive>,
+}
+
+impl Sampling {
+    /// Least weight that is traced unless a frame says otherwise: half a step of 8-bit linear light is 1/510.
+    pub const CUTOFF: f32 = 1.0 / 512.0;
+}
+
+impl Default for Sampling {
+    fn default() -> Self {
+        Self { sampler: Sampler::default(), cutoff: Self::CUTOFF, adaptive: None }
+    }
+}
+
+/// Adaptive sampling; `adaptive.rs` says how the error is estimated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Adaptive {
+    /// A block of pixels gets samples until its estimated error is at most this: root mean square over its pixels, in sRGB-coded values
+    /// of [0, 1]; (0, 1].
+    pub error: f32,
 }
 
 /// Parts of the tracer that a frame may switch off.

@@ -7,7 +7,8 @@
 //! |---|---|
 //! | `frame.rs` | what a frame asks for |
 //! | `pixel.rs` | blocks, averages, pixel formats |
-//! | `sample.rs` | where the samples of a pixel lie |
+//! | [`sample`] | where the samples of a pixel lie |
+//! | [`adaptive`] | how many a pixel gets, where that is left open |
 //! | `path.rs` | the tree of rays behind a sample |
 //! | [`probe`] | every ray of such a tree, written down |
 //! | [`replay`] | another renderer's rays, followed step by step |
@@ -19,6 +20,7 @@
 //! | [`device`], [`variant`] | the same for GPUs: what kernels are told, and which kernel a scene needs |
 //! | [`twins`] | what the kernels' text must agree with |
 
+pub mod adaptive;
 mod color;
 pub mod device;
 mod environment;
@@ -28,7 +30,7 @@ mod path;
 pub mod pixel;
 pub mod probe;
 pub mod replay;
-mod sample;
+pub mod sample;
 mod scene;
 pub mod shade;
 mod surface;
@@ -36,7 +38,9 @@ mod texture;
 pub mod twins;
 pub mod variant;
 
-pub use frame::{Features, FrameParams, PixelFormat, RayCounts};
+pub use adaptive::AdaptiveTile;
+pub use frame::{Adaptive, Features, FrameParams, PixelFormat, RayCounts, Sampling};
 pub use pixel::{NUMERIC_CLASS, PixelBlock};
 pub use probe::Probe;
+pub use sample::Sampler;
 pub use scene::Renderer;

@@ -1,7 +1,7 @@
 //! Lights and the shadow rays towards them.
 
-use crate::Features;
-use crate::path::{After, MAX_LAYERS, MIN_WEIGHT};
+use crate::FrameParams;
+use crate::path::{After, MAX_LAYERS, is_cut_off};
 use crate::probe::{Direct, Tracer};
 use crate::scene::{Renderer, lets_light_through};
 use crate::shade::glass_share;
@@ -85,12 +85,12 @@ fn cone(cosine: f32, cos_inner: f32, cos_outer: f32) -> f32 {
 /// times its colour, and what blends passes `1 - alpha` besides.
 pub(crate) fn transmittance(
     scene: &Renderer<'_>,
-    features: Features,
+    params: &FrameParams,
     ray: &Ray,
     tracer: &mut impl Tracer,
 ) -> Vec3 {
     // Look for anything opaque: in most scenes the whole question.
-    if tracer.is_blocked(scene, ray) { Vec3::ZERO } else { filtered(scene, features, ray, tracer) }
+    if tracer.is_blocked(scene, ray) { Vec3::ZERO } else { filtered(scene, params, ray, tracer) }
 }
 
 /// Whether anything opaque is on `ray`.
@@ -106,7 +106,7 @@ pub(crate) fn is_blocked(scene: &Renderer<'_>, ray: &Ray) -> bool {
 /// [`transmittance`] along those of eight rays whose bit is set in `lanes`.
 pub(crate) fn transmittances(
     scene: &Renderer<'_>,
-    features: Features,
+    params: &FrameParams,
     rays: &[Ray; LANES],
     lanes: u8,
 ) -> [Vec3; LANES] {
@@ -118,7 +118,7 @@ pub(crate) fn transmittances(
     };
     let mut shares = [Vec3::ZERO; LANES];
     for lane in lanes_in(lanes & !blocked) {
-        shares[lane] = filtered(scene, features, &rays[lane], &mut Direct);
+        shares[lane] = filtered(scene, params, &rays[lane], &mut Direct);
     }
     shares
 }
@@ -129,7 +129,7 @@ pub(crate) fn is_opaque(scene: &Renderer<'_>, hit: &Hit) -> bool {
 }
 
 /// The share of a light along `ray`, which meets nothing opaque.
-fn filtered(scene: &Renderer<'_>, features: Features, ray: &Ray, tracer: &mut impl Tracer) -> Vec3 {
+fn filtered(scene: &Renderer<'_>, params: &FrameParams, ray: &Ray, tracer: &mut impl Tracer) -> Vec3 {
     // Filter the light surface by surface, each once: a traversal may meet a triangle in several leaves, but (t, id) orders
     // the hits whatever the tree.
     let mut passed = Vec3::ONE;
@@ -140,10 +140,10 @@ fn filtered(scene: &Renderer<'_>, features: Features, ray: &Ray, tracer: &mut im
     for _ in 0..MAX_LAYERS {
         let Some(hit) = tracer.layer(scene, ray, after) else { return passed };
         let paint = paint_at(scene, &hit);
-        let through = paint.base * (glass_share(&paint, features) * paint.alpha);
+        let through = paint.base * (glass_share(&paint, params.features) * paint.alpha);
         passed *= through + Vec3::splat(1.0 - paint.alpha);
         tracer.dimmed(passed.max_element());
-        if passed.max_element() < MIN_WEIGHT {
+        if is_cut_off(passed, params.sampling.cutoff) {
             return Vec3::ZERO;
         }
         after = After::hit(&hit);

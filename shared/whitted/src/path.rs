@@ -5,10 +5,11 @@
 //! * **Depth.** A surface met after `max_depth` mirror and bent rays shows its local light (lights, ambient,
 //!   emission); what its mirror or glass would have brought is black. Between two facing mirrors of reflectance `k`
 //!   and emission `e` the picture is `e (1 + k + ... + k^max_depth)`.
-//! * **Weight.** A ray whose weight in the pixel is below [`MIN_WEIGHT`] = 1/512 in every channel is not traced.
-//!   Whatever it would have seen changes a pixel by less than 1/512 of that radiance: below half a step, 1/510, of
-//!   8-bit linear light. The weights of the rays behind one surface sum to at most that surface's own, so at most
-//!   1536 rays (512 a channel) of one generation are alive, and a path of any depth stays bounded.
+//! * **Weight.** A ray whose weight in the pixel is below the frame's cut-off `w` in every channel is not traced, and none of weight 0 is.
+//!   Whatever it would have seen changes a pixel by less than `w` times that radiance: with [`Sampling::CUTOFF`](crate::Sampling::CUTOFF)
+//!   = 1/512 by less than half a step, 1/510, of 8-bit linear light. The weights of the rays behind one surface sum to at most that
+//!   surface's own, so at most `3 / w` rays (`1 / w` a channel, 1536 in all) of one generation are alive, and a path of any depth stays
+//!   bounded. With `w = 0` only depth and layers end a path.
 //! * **Layers.** Straight continuations (blending, thin walls, `ior == 1`) do not count as depth, but a path passes
 //!   at most [`MAX_LAYERS`] of them; behind the last one it is black and opaque.
 
@@ -20,11 +21,14 @@ use crate::{FrameParams, RayCounts};
 use tessera_geometry::wide::{LANES, lanes_in};
 use tessera_geometry::{Hit, Ray, Vec3};
 
-/// Weight in a pixel below which a ray is not traced.
-pub(crate) const MIN_WEIGHT: f32 = 1.0 / 512.0;
-
 /// Surfaces that a path, or a shadow ray, passes straight.
 pub(crate) const MAX_LAYERS: u32 = 64;
+
+/// Whether a ray, or a light, of this weight is not followed.
+pub(crate) fn is_cut_off(weight: Vec3, cutoff: f32) -> bool {
+    let most = weight.max_element();
+    most < cutoff || most == 0.0
+}
 
 /// How a ray goes on behind a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -89,7 +93,7 @@ struct Segment {
 }
 
 /// The waiting rays of one path. A surface replaces its ray by up to three and so adds up to two, once for each unit
-/// of depth and each layer at most; the bound follows.
+/// of depth and each layer at most; the bound follows, whatever the rays weigh.
 pub(crate) struct PathStack {
     segments: [Segment; PathStack::CAPACITY],
     len: usize,
@@ -111,9 +115,9 @@ impl PathStack {
         Self { segments: [unused; Self::CAPACITY], len: 0 }
     }
 
-    /// Adds a ray unless its weight is too small to be seen; says how many were added.
-    fn push(&mut self, segment: Segment) -> u64 {
-        if segment.weight.max_element() < MIN_WEIGHT {
+    /// Adds a ray unless its weight is nothing, or below `cutoff`; says how many were added.
+    fn push(&mut self, segment: Segment, cutoff: f32) -> u64 {
+        if is_cut_off(segment.weight, cutoff) {
             return 0;
         }
         self.segments[self.len] = segment;
@@ -205,7 +209,7 @@ pub(crate) fn trace(
         let direction = eyes[lane].direction;
         views[lane] = hits[lane].map(|hit| View::new(scene, params.features, hit, direction));
     }
-    let lights = local_lights(scene, params.features, &views, counts);
+    let lights = local_lights(scene, params, &views, counts);
 
     // Follow each path from there.
     let mut seen = [Seen { color: Vec3::ZERO, alpha: 1.0, first: None }; LANES];
@@ -237,7 +241,7 @@ pub(crate) fn trace_singly(
     let mut stack = PathStack::new();
     let Ray { origin, direction, .. } = *eye;
     let (after, weight) = (After::EYE, Vec3::ONE);
-    stack.push(Segment { origin, direction, after, weight, depth: 0, layers: 0 });
+    stack.push(Segment { origin, direction, after, weight, depth: 0, layers: 0 }, params.sampling.cutoff);
     Path { scene, params, seen: &mut seen, stack: &mut stack, counts, tracer }.follow();
     seen
 }
@@ -269,7 +273,7 @@ struct Path<'a, 'p, T> {
 impl<T: Tracer> Path<'_, '_, T> {
     /// Traces the rays that wait, and those behind them.
     fn follow(&mut self) {
-        let (scene, features) = (self.scene, self.params.features);
+        let (scene, params) = (self.scene, self.params);
         while let Some(mut segment) = self.stack.pop() {
             let Segment { origin, direction, after, weight, .. } = segment;
             let mut ray = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
@@ -280,11 +284,11 @@ impl<T: Tracer> Path<'_, '_, T> {
                 self.leave(&segment);
                 continue;
             };
-            let view = View::new(scene, features, hit, direction);
+            let view = View::new(scene, params.features, hit, direction);
             self.tracer.met(scene, &ray, &view);
             let is_covered = weight * view.alpha != Vec3::ZERO;
             let light = if is_covered {
-                local_light(scene, features, &view, self.counts, self.tracer)
+                local_light(scene, params, &view, self.counts, self.tracer)
             } else {
                 Vec3::ZERO
             };
@@ -349,7 +353,7 @@ impl<T: Tracer> Path<'_, '_, T> {
 
     /// [`PathStack::push`].
     fn push(&mut self, segment: Segment, way: Way) -> u64 {
-        let pushed = self.stack.push(segment);
+        let pushed = self.stack.push(segment, self.params.sampling.cutoff);
         self.tracer.pushed(way, segment.weight.max_element(), pushed > 0);
         pushed
     }

@@ -2,8 +2,6 @@
 // the order of the single-ray code. There is one search for all of them, in a loop: rays of neighbouring pixels that look, ask for a light
 // or filter it take their steps together, and the kernel holds one traversal and not four.
 
-/// 1/512: the weight in a pixel below which a ray is not traced.
-const MIN_WEIGHT: f32 = 0.001953125;
 const MAX_LAYERS: u32 = 64u;
 
 /// A ray that waits to be traced.
@@ -32,9 +30,15 @@ var<private> counts: vec4<u32>;
 var<private> waiting_count: u32;
 var<private> next_segment: Segment;
 
-/// Adds a ray unless its weight is too small to be seen; says how many were added.
+/// Whether a ray, or a light, of this weight is not followed.
+fn is_cut_off(weight: vec3<f32>) -> bool {
+    let most = max_element(weight);
+    return most < frame.cutoff || most == 0.0;
+}
+
+/// Adds a ray unless its weight is nothing, or below the frame's cut-off; says how many were added.
 fn push_segment(segment: Segment) -> u32 {
-    if max_element(segment.weight) < MIN_WEIGHT { return 0u; }
+    if is_cut_off(segment.weight) { return 0u; }
     if PATH_STACK > 1u && waiting_count > 0u { keep_segment(waiting_count - 1u, next_segment); }
     next_segment = segment;
     waiting_count += 1u;
@@ -210,7 +214,7 @@ fn take_share(hit: Hit) -> bool {
     let through = scaled(paint.base, times(glass_share(paint), paint.alpha));
     passed = times3(passed, through + vec3<f32>(1.0 - paint.alpha));
     layers_passed += 1u;
-    if max_element(passed) < MIN_WEIGHT || layers_passed >= MAX_LAYERS { return true; }
+    if is_cut_off(passed) || layers_passed >= MAX_LAYERS { return true; }
     asked.after_t = hit.t;
     asked.after_triangle = hit.triangle;
     asked.ray.t_min = below(hit.t);

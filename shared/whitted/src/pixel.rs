@@ -2,12 +2,13 @@
 
 use crate::color::{encode_linear, encode_srgb};
 use crate::path::{PathStack, Seen, first_seen, trace};
-use crate::sample::{offset_in_pixel, pixel_seed};
+use crate::sample::pixel_seed;
 use crate::scene::Renderer;
 use crate::surface::geometric_normal;
-use crate::{FrameParams, PixelFormat, RayCounts};
+use crate::{AdaptiveTile, FrameParams, PixelFormat, RayCounts};
+use std::ops::Range;
 use tessera_geometry::wide::{LANES, lanes_in};
-use tessera_geometry::{Hit, Vec2, Vec3};
+use tessera_geometry::{Hit, Ray, Vec2, Vec3};
 
 /// Names the arithmetic: frames of one class are equal bit for bit. Raise the number with every change of a result.
 pub const NUMERIC_CLASS: &str = "cpu-3";
@@ -30,6 +31,11 @@ impl PixelBlock {
     pub fn byte_len(&self, format: PixelFormat) -> usize {
         self.width as usize * self.height as usize * format.bytes_per_pixel()
     }
+
+    /// Which of its pixels, row by row, lies at `(x, y)`.
+    pub(crate) fn place(&self, x: u32, y: u32) -> usize {
+        (y - self.y) as usize * self.width as usize + (x - self.x) as usize
+    }
 }
 
 impl Renderer<'_> {
@@ -40,6 +46,9 @@ impl Renderer<'_> {
     /// When `out` is not [`PixelBlock::byte_len`] long.
     pub fn render_block(&self, params: &FrameParams, block: PixelBlock, out: &mut [u8]) -> RayCounts {
         assert_eq!(out.len(), block.byte_len(params.format), "the buffer does not fit {block:?}");
+        if let Some(tile) = AdaptiveTile::new(params, block) {
+            return self.render_adaptive(params, tile, block, out);
+        }
         let mut counts = RayCounts::default();
         let mut stack = PathStack::new();
         let pixel_bytes = params.format.bytes_per_pixel();
@@ -47,23 +56,83 @@ impl Renderer<'_> {
             let seen = packet_of_pixels(self, params, &packet, &mut stack, &mut counts);
             for lane in lanes_in(packet.lanes) {
                 let (x, y) = packet.pixel(lane);
-                let place = (y - block.y) as usize * block.width as usize + (x - block.x) as usize;
-                let bytes = &mut out[place * pixel_bytes..][..pixel_bytes];
+                let bytes = &mut out[block.place(x, y) * pixel_bytes..][..pixel_bytes];
                 let seen = &seen[lane];
-                match params.format {
-                    PixelFormat::Rgba8 => {
-                        bytes.copy_from_slice(&straight_codes(seen.color, seen.alpha, 255.0).map(|c| c as u8))
-                    }
-                    PixelFormat::Rgba16 => write_words(
-                        bytes,
-                        straight_codes(seen.color, seen.alpha, 65535.0).map(u16::to_le_bytes),
-                    ),
-                    PixelFormat::Layers => write_words(bytes, layers(self, seen)),
+                write_codes(seen.color, seen.alpha, params.format, bytes);
+                if params.format == PixelFormat::Layers {
+                    write_words(&mut bytes[SURFACE..], surface_layers(self, seen.first.as_ref()));
                 }
             }
         }
         counts
     }
+
+    /// `tile`, which lies at `block`, round by round.
+    fn render_adaptive(
+        &self,
+        params: &FrameParams,
+        mut tile: AdaptiveTile,
+        block: PixelBlock,
+        out: &mut [u8],
+    ) -> RayCounts {
+        let mut counts = RayCounts::default();
+        loop {
+            let work = tile.work();
+            if work.is_empty() {
+                break;
+            }
+            for round in work {
+                let rays = self.sum_samples(params, round.rect, round.samples, |x, y, sum| tile.put(x, y, sum));
+                counts += rays;
+            }
+            tile.end_round(out);
+        }
+        if params.format == PixelFormat::Layers {
+            counts += self.write_surfaces(params, block, out);
+        }
+        counts
+    }
+
+    /// Takes some samples of each pixel of `block` and hands over their sum, added up in their order: linear colour, premultiplied, and
+    /// alpha.
+    pub fn sum_samples(
+        &self,
+        params: &FrameParams,
+        block: PixelBlock,
+        samples: Range<u32>,
+        mut put: impl FnMut(u32, u32, [f32; 4]),
+    ) -> RayCounts {
+        let mut counts = RayCounts::default();
+        let mut stack = PathStack::new();
+        for packet in packets(block) {
+            let sums = sum_of_packet(self, params, &packet, samples.clone(), &mut stack, &mut counts);
+            for lane in lanes_in(packet.lanes) {
+                let (x, y) = packet.pixel(lane);
+                let Seen { color, alpha, .. } = sums[lane];
+                put(x, y, [color.x, color.y, color.z, alpha]);
+            }
+        }
+        counts
+    }
+
+    /// Writes the last five words of [`PixelFormat::Layers`] of each pixel of `block` to `out`, where its pixels lie: what is behind their
+    /// centres. The colour's words stay as they are.
+    pub fn write_surfaces(&self, params: &FrameParams, block: PixelBlock, out: &mut [u8]) -> RayCounts {
+        let mut counts = RayCounts::default();
+        let pixels = (0..block.height).flat_map(|row| (0..block.width).map(move |column| (column, row)));
+        for ((column, row), bytes) in pixels.zip(out.chunks_exact_mut(PixelFormat::Layers.bytes_per_pixel())) {
+            let ray = ray_through(params, block.x + column, block.y + row, Vec2::splat(0.5));
+            counts.primary += 1;
+            write_words(&mut bytes[SURFACE..], surface_layers(self, first_seen(self, &ray).as_ref()));
+        }
+        counts
+    }
+}
+
+
+/// The ray from the eye through a place in the pixel `(x, y)`.
+pub(crate) fn ray_through(params: &FrameParams, x: u32, y: u32, offset: Vec2) -> Ray {
+    params.camera.ray(x as f32 + offset.x, y as f32 + offset.y, params.width, params.height)
 }
 
 /// Pixels whose rays are traced together: two rows of four, or in a block of one row eight beside each other.
@@ -105,31 +174,16 @@ fn packet_of_pixels(
     counts: &mut RayCounts,
 ) -> [Seen; LANES] {
     // Send one sample through the centres.
-    let camera = &params.camera;
-    let ray_at = |lane: usize, offset: Vec2| {
+    let centres = std::array::from_fn(|lane| {
         let (x, y) = packet.pixel(lane);
-        camera.ray(x as f32 + offset.x, y as f32 + offset.y, params.width, params.height)
-    };
-    let centres = std::array::from_fn(|lane| ray_at(lane, Vec2::splat(0.5)));
+        ray_through(params, x, y, Vec2::splat(0.5))
+    });
     if params.samples <= 1 {
         return trace(scene, params, &centres, packet.lanes, stack, counts);
     }
 
     // Or add up many.
-    let seeds: [u32; LANES] = std::array::from_fn(|lane| {
-        let (x, y) = packet.pixel(lane);
-        pixel_seed(params.frame, x, y)
-    });
-    let mut sums = [Seen { color: Vec3::ZERO, alpha: 0.0, first: None }; LANES];
-    for index in 0..params.samples {
-        let rays =
-            std::array::from_fn(|lane| ray_at(lane, offset_in_pixel(index, params.samples, seeds[lane])));
-        let seen = trace(scene, params, &rays, packet.lanes, stack, counts);
-        for (sum, seen) in sums.iter_mut().zip(seen) {
-            sum.color += seen.color;
-            sum.alpha += seen.alpha;
-        }
-    }
+    let mut sums = sum_of_packet(scene, params, packet, 0..params.samples, stack, counts);
     let share = 1.0 / params.samples as f32;
     for lane in lanes_in(packet.lanes) {
         let sum = &mut sums[lane];
@@ -143,6 +197,45 @@ fn packet_of_pixels(
     sums
 }
 
+/// What some samples of each pixel see together, added up in their order.
+fn sum_of_packet(
+    scene: &Renderer<'_>,
+    params: &FrameParams,
+    packet: &PixelPacket,
+    samples: Range<u32>,
+    stack: &mut PathStack,
+    counts: &mut RayCounts,
+) -> [Seen; LANES] {
+    let seeds: [u32; LANES] = std::array::from_fn(|lane| {
+        let (x, y) = packet.pixel(lane);
+        pixel_seed(params.frame, x, y)
+    });
+    let mut sums = [Seen { color: Vec3::ZERO, alpha: 0.0, first: None }; LANES];
+    for index in samples {
+        let rays = std::array::from_fn(|lane| {
+            let (x, y) = packet.pixel(lane);
+            ray_through(params, x, y, params.sampling.sampler.offset_in_pixel(index, params.samples, seeds[lane]))
+        });
+        let seen = trace(scene, params, &rays, packet.lanes, stack, counts);
+        for (sum, seen) in sums.iter_mut().zip(seen) {
+            sum.color += seen.color;
+            sum.alpha += seen.alpha;
+        }
+    }
+    sums
+}
+
+/// Writes linear colour, premultiplied, and alpha as a pixel's bytes begin.
+pub(crate) fn write_codes(color: Vec3, alpha: f32, format: PixelFormat, bytes: &mut [u8]) {
+    match format {
+        PixelFormat::Rgba8 => bytes.copy_from_slice(&straight_codes(color, alpha, 255.0).map(|c| c as u8)),
+        PixelFormat::Rgba16 => {
+            write_words(bytes, straight_codes(color, alpha, 65535.0).map(u16::to_le_bytes));
+        }
+        PixelFormat::Layers => write_words(bytes, [color.x, color.y, color.z, alpha].map(f32::to_le_bytes)),
+    }
+}
+
 /// sRGB codes of the colour behind the premultiplied one, and of alpha.
 pub(crate) fn straight_codes(premultiplied: Vec3, alpha: f32, max_code: f64) -> [u16; 4] {
     let color = if alpha > 0.0 { premultiplied / alpha } else { Vec3::ZERO };
@@ -150,11 +243,14 @@ pub(crate) fn straight_codes(premultiplied: Vec3, alpha: f32, max_code: f64) -> 
     [r, g, b, encode_linear(alpha, max_code)]
 }
 
-/// The nine words of [`PixelFormat::Layers`]: linear premultiplied colour, alpha, distance from the eye in world
-/// units (`+inf` on a miss), the geometric normal on the side on which the triangle winds counter-clockwise (0 on a
-/// miss), and the id in the flattened scene.
-fn layers(scene: &Renderer<'_>, seen: &Seen) -> [[u8; 4]; 9] {
-    let (depth, normal, id) = match &seen.first {
+/// Where the words of [`surface_layers`] begin among the nine of [`PixelFormat::Layers`], which begin with linear premultiplied colour and
+/// alpha.
+const SURFACE: usize = 16;
+
+/// Distance from the eye in world units (`+inf` on a miss), the geometric normal on the side on which the triangle winds counter-clockwise
+/// (0 on a miss), and the id in the flattened scene.
+fn surface_layers(scene: &Renderer<'_>, first: Option<&Hit>) -> [[u8; 4]; 5] {
+    let (depth, normal, id) = match first {
         None => (f32::INFINITY, Vec3::ZERO, Hit::NO_TRIANGLE),
         Some(hit) => {
             let corners = scene.mesh.indices(hit.triangle).map(|v| scene.mesh.position(v));
@@ -162,14 +258,8 @@ fn layers(scene: &Renderer<'_>, seen: &Seen) -> [[u8; 4]; 9] {
             (depth, geometric_normal(corners), scene.original_id(hit.triangle))
         }
     };
-    let c = seen.color;
-    let floats = [c.x, c.y, c.z, seen.alpha, depth, normal.x, normal.y, normal.z];
-    let mut words = [[0; 4]; 9];
-    for (word, float) in words.iter_mut().zip(floats) {
-        *word = float.to_le_bytes();
-    }
-    words[8] = id.to_le_bytes();
-    words
+    let [depth, x, y, z] = [depth, normal.x, normal.y, normal.z].map(f32::to_le_bytes);
+    [depth, x, y, z, id.to_le_bytes()]
 }
 
 fn write_words<const N: usize>(bytes: &mut [u8], words: impl IntoIterator<Item = [u8; N]>) {

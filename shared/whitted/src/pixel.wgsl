@@ -55,14 +55,16 @@ fn render_pixel(job: Job, at: vec2<u32>, job_index: u32) {
     let place = at.y * job.width + at.x;
     let seed = pixel_seed(frame.seed_low, frame.seed_high, pixel.x, pixel.y);
     var sum = no_sum();
-    if job.first_sample > 0u { sum = load_sum(place); }
-    let end = end_sample(job);
-    for (var i = job.first_sample; i < end; i++) {
-        let seen = trace(sample_ray(pixel, seed, i), i == frame.samples);
+    if job.first_sample > job.round_first { sum = load_sum(place); }
+    var i = job.first_sample;
+    loop {
+        let seen = trace(sample_ray(pixel, seed, i), i == CENTRE);
         sum = add_sample(sum, seen, i);
+        i = sample_after(job, i);
+        if i == NO_SAMPLE { break; }
     }
     add_counts(job_index);
-    if job.end_sample == frame.samples {
+    if job.end_sample == job.round_end {
         write_pixel(job.at_pixels + place * pixel_words(frame.format), mean(sum));
     } else {
         store_sum(place, sum);
@@ -73,10 +75,16 @@ fn no_sum() -> Seen {
     return Seen(vec3<f32>(0.0), 0.0, Hit(FAR, NO_TRIANGLE, 0.0, 0.0));
 }
 
-/// The sample behind the last one to take. One goes through the centre; of many one more does, to find the surface that the layers show.
-fn end_sample(job: Job) -> u32 {
-    let is_last = job.end_sample == frame.samples;
-    return job.end_sample + select(0u, 1u, is_last && frame.format == FORMAT_LAYERS && frame.samples > 1u);
+/// Not a sample of those that are added up, but the ray through the pixel's centre that finds the surface which the layers show.
+const CENTRE: u32 = 0xffffffffu;
+const NO_SAMPLE: u32 = 0xfffffffeu;
+
+/// What comes after sample `i` of a job. One sample goes through the centre itself; of many one ray more does, once a pixel.
+fn sample_after(job: Job, i: u32) -> u32 {
+    if i == CENTRE { return NO_SAMPLE; }
+    if i + 1u < job.end_sample { return i + 1u; }
+    let is_first_round = job.end_sample == job.round_end && job.round_first == 0u;
+    return select(NO_SAMPLE, CENTRE, is_first_round && frame.format == FORMAT_LAYERS && frame.samples > 1u);
 }
 
 /// The ray of sample `i`.
@@ -91,13 +99,13 @@ fn sample_ray(pixel: vec2<u32>, seed: u32, i: u32) -> Ray {
 
 /// The sum with sample `i`; samples are added up in their order.
 fn add_sample(sum: Seen, sample: Seen, i: u32) -> Seen {
-    if i == frame.samples { return Seen(sum.color, sum.alpha, sample.first); }
+    if i == CENTRE { return Seen(sum.color, sum.alpha, sample.first); }
     return Seen(sum.color + sample.color, sum.alpha + sample.alpha, sample.first);
 }
 
-/// What the samples of a pixel have seen on the average.
+/// What the samples of a pixel have seen on the average; the sum itself where the host adds up rounds.
 fn mean(sum: Seen) -> Seen {
-    if frame.samples <= 1u { return sum; }
+    if frame.samples <= 1u || frame.is_adaptive != 0u { return sum; }
     let share = quotient(1.0, f32(frame.samples));
     return Seen(sum.color * share, sum.alpha * share, sum.first);
 }

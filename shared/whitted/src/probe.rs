@@ -5,7 +5,8 @@
 
 use crate::light;
 use crate::path::{After, Way, nearest, nearest_seen, trace_singly};
-use crate::sample::{offset_in_pixel, pixel_seed};
+use crate::pixel::ray_through;
+use crate::sample::pixel_seed;
 use crate::scene::Renderer;
 use crate::shade::View;
 use crate::{FrameParams, RayCounts};
@@ -137,8 +138,9 @@ impl Renderer<'_> {
 
 /// The ray from the eye of one sample.
 pub(crate) fn eye_ray(params: &FrameParams, x: u32, y: u32, sample: u32) -> Ray {
-    let offset = offset_in_pixel(sample, params.samples, pixel_seed(params.frame, x, y));
-    params.camera.ray(x as f32 + offset.x, y as f32 + offset.y, params.width, params.height)
+    let seed = pixel_seed(params.frame, x, y);
+    let offset = params.sampling.sampler.offset_in_pixel(sample, params.samples, seed);
+    ray_through(params, x, y, offset)
 }
 
 /// Who traces the single rays of a path, and hears of what is decided on the way.

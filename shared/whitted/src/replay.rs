@@ -8,7 +8,7 @@
 //! in any order and perhaps fused (WGSL, "Floating Point Evaluation"). `u` is the unit roundoff, 2^-24.
 
 use crate::light;
-use crate::path::{After, MIN_WEIGHT, Way, trace_singly};
+use crate::path::{After, Way, trace_singly};
 use crate::probe::{Probe, Tracer, eye_ray};
 use crate::scene::{Renderer, hides_its_back};
 use crate::shade::View;
@@ -103,6 +103,7 @@ impl Renderer<'_> {
             steps: Vec::with_capacity(others.len()),
             is_broken: false,
             waiting: vec![(eye_bound(params, &eye), 0)],
+            cutoff: params.sampling.cutoff,
             depth: 0,
             place: Place::default(),
             towards_light: RayBound::default(),
@@ -240,6 +241,8 @@ struct Player<'a> {
     is_broken: bool,
     /// Bounds and depths of the rays on the path's stack.
     waiting: Vec<(RayBound, u32)>,
+    /// Weight below which a ray is not traced.
+    cutoff: f32,
     /// Of the last ray that looks.
     depth: u32,
     place: Place,
@@ -341,11 +344,11 @@ impl Tracer for Player<'_> {
     }
 
     fn dimmed(&mut self, left: f32) {
-        self.margin = self.margin.min(cut_off_margin(left));
+        self.margin = self.margin.min(cut_off_margin(left, self.cutoff));
     }
 
     fn pushed(&mut self, way: Way, weight: f32, is_pushed: bool) {
-        self.path_margin = self.path_margin.min(cut_off_margin(weight));
+        self.path_margin = self.path_margin.min(cut_off_margin(weight, self.cutoff));
         if !is_pushed {
             return;
         }
@@ -363,9 +366,9 @@ impl Tracer for Player<'_> {
     }
 }
 
-/// How near a weight is to the least that is traced.
-fn cut_off_margin(weight: f32) -> f32 {
-    (weight / MIN_WEIGHT - 1.0).abs() / WEIGHT_ERROR
+/// How near a weight is to the least that is traced. With a cut-off of 0 only a weight of 0 is not, which is 0 for both.
+fn cut_off_margin(weight: f32, cutoff: f32) -> f32 {
+    if cutoff > 0.0 { (weight / cutoff - 1.0).abs() / WEIGHT_ERROR } else { f32::INFINITY }
 }
 
 /// Weights of corners 1 and 2 where `ray` passes a triangle, or of a point of it near there if it misses by rounding.

@@ -13,7 +13,14 @@ fn offset_in_pixel(index: u32, count: u32, seed: u32) -> vec2<f32> {
     if count <= 1u {
         return vec2<f32>(0.5);
     }
+    if frame.sampler == SAMPLER_LOW_DISCREPANCY {
+        let at = low_discrepancy(index, seed);
+        return vec2<f32>(unit_float(at.x), unit_float(at.y));
+    }
+    return jittered(index, count, seed);
+}
 
+fn jittered(index: u32, count: u32, seed: u32) -> vec2<f32> {
     // Lay a grid of columns x rows over the pixel, as square as the count allows.
     let columns = whole_root(count);
     let rows = (count - 1u) / columns + 1u;
@@ -29,6 +36,33 @@ fn offset_in_pixel(index: u32, count: u32, seed: u32) -> vec2<f32> {
     let across = f32(sx) + kept(quotient(kept(f32(sy) + jx), f32(rows)));
     let down = f32(s) + jy;
     return vec2<f32>(quotient(across, f32(columns)), quotient(down, f32(count)));
+}
+
+/// Sample `index` of the scrambled sequence, in units of 2^-32.
+fn low_discrepancy(index: u32, seed: u32) -> vec2<u32> {
+    let x = scramble(index, pcg(seed ^ 0x68bc21ebu));
+    let y = scramble(second_dimension(index), pcg(seed ^ 0x02e5be93u));
+    return vec2<u32>(reverseBits(x), reverseBits(y));
+}
+
+/// The bits of Sobol's second dimension, the highest last; those of the first are the index itself.
+fn second_dimension(index: u32) -> u32 {
+    var bits = index;
+    bits ^= (bits >> 16u) & 0x0000ffffu;
+    bits ^= (bits >> 8u) & 0x00ff00ffu;
+    bits ^= (bits >> 4u) & 0x0f0f0f0fu;
+    bits ^= (bits >> 2u) & 0x33333333u;
+    return bits ^ ((bits >> 1u) & 0x55555555u);
+}
+
+/// Owen's scrambling of a number whose highest bit comes last: each bit is flipped, or not, by a hash of the bits before it.
+fn scramble(number: u32, seed: u32) -> u32 {
+    var bits = number;
+    bits ^= bits * 0x3d20adeau;
+    bits += seed;
+    bits *= (seed >> 16u) | 1u;
+    bits ^= bits * 0x05526c56u;
+    return bits ^ (bits * 0x53a22864u);
 }
 
 /// The square root of `n` >= 1, rounded down: of the guess only that it is off by less than 1 is used. (k^2 <= n just

@@ -45,12 +45,11 @@
 //! Reflection or refraction **switched off** acts on the material: without reflection `g = Fg = 0` (a metal turns
 //! diffuse), without refraction `T = 0` (glass turns opaque, `t` counts as 0).
 
-use crate::Features;
 use crate::light;
 use crate::probe::Tracer;
 use crate::scene::Renderer;
 use crate::surface::{Paint, Surface, clearance, offset_origin, paint_at, surface_at};
-use crate::{RayCounts, path::Passage};
+use crate::{Features, FrameParams, RayCounts, path::Passage};
 use std::f32::consts::{FRAC_1_PI, PI};
 use tessera_geometry::wide::{LANES, lanes_in};
 use tessera_geometry::{Hit, Ray, Vec3};
@@ -266,7 +265,7 @@ impl View {
 /// and each light in turn unless it is in shadow.
 pub(crate) fn local_light(
     scene: &Renderer<'_>,
-    features: Features,
+    params: &FrameParams,
     view: &View,
     counts: &mut RayCounts,
     tracer: &mut impl Tracer,
@@ -279,9 +278,9 @@ pub(crate) fn local_light(
     for light in scene.lights {
         tracer.asked(scene, view, light, origin);
         let Some((sent_back, ray)) = view.sent_back(scene, light, origin) else { continue };
-        if features.shadows {
+        if params.features.shadows {
             counts.shadow += 1;
-            sum += sent_back * light::transmittance(scene, features, &ray, tracer);
+            sum += sent_back * light::transmittance(scene, params, &ray, tracer);
         } else {
             sum += sent_back;
         }
@@ -292,7 +291,7 @@ pub(crate) fn local_light(
 /// [`local_light`] of the views of a packet that cover anything, with their shadow rays towards each light traced together.
 pub(crate) fn local_lights(
     scene: &Renderer<'_>,
-    features: Features,
+    params: &FrameParams,
     views: &[Option<View>; LANES],
     counts: &mut RayCounts,
 ) -> [Vec3; LANES] {
@@ -319,9 +318,9 @@ pub(crate) fn local_lights(
         }
 
         // Add what arrives.
-        if features.shadows {
+        if params.features.shadows {
             counts.shadow += u64::from(asked.count_ones());
-            let shares = light::transmittances(scene, features, &rays, asked);
+            let shares = light::transmittances(scene, params, &rays, asked);
             for lane in lanes_in(asked) {
                 sums[lane] += sent[lane] * shares[lane];
             }

@@ -43,17 +43,16 @@ pub fn layouts() -> [Layout; 4] {
             at_material_runs at_id_runs at_materials at_textures at_texels at_lights at_normal_table
             at_srgb at_thresholds step_mantissa step_rest step_power backdrop, gaps reserved),
         layout!(FrameInfo, "FrameInfo",
-            eye width forward height right samples up max_depth seed_low seed_high features format zero,
-            gaps reserved),
+            eye width forward height right samples up max_depth seed_low seed_high features format zero
+            sampler cutoff is_adaptive, gaps),
         layout!(Job, "Job",
-            x y width height first_sample end_sample at_pixels first_block, gaps),
+            x y width height first_sample end_sample round_first round_end at_pixels first_block, gaps),
     ]
 }
 
 /// Constants of the text and the bits that they must have.
-pub fn constants() -> [(&'static str, u32); 13] {
+pub fn constants() -> [(&'static str, u32); 12] {
     [
-        ("MIN_WEIGHT", path::MIN_WEIGHT.to_bits()),
         ("MAX_LAYERS", path::MAX_LAYERS),
         ("LEAST_SENT", shade::LEAST_SENT.to_bits()),
         ("MAX_IRRADIANCE", light::MAX_IRRADIANCE.to_bits()),

@@ -159,7 +159,7 @@ fn load_path() -> u32 {
     let sight = numbers_at(ROW_SEEN);
     seen = Seen(sight.xyz, sight.w, Hit(FAR, NO_TRIANGLE, 0.0, 0.0));
     if frame.format == FORMAT_LAYERS { seen.first = load_hit(ROW_SEEN_FIRST); }
-    only_first = c.w == frame.samples;
+    only_first = c.w == CENTRE;
     if asked.kind != LOOK {
         let light = row_at(ROW_LIGHT);
         let sent = row_at(ROW_LIGHT + 1u);
@@ -251,7 +251,7 @@ fn begin_pixel(first: u32) {
 fn begin_wave_sample(job: Job, pixel: WavePixel, number: u32, i: u32) {
     let at = vec2<u32>(job.x, job.y) + pixel.at;
     let seed = pixel_seed(frame.seed_low, frame.seed_high, at.x, at.y);
-    begin_path(sample_ray(at, seed, i), i == frame.samples);
+    begin_path(sample_ray(at, seed, i), i == CENTRE);
     store_asked(number);
     store_path(i, LOOK);
     enqueue();
@@ -267,9 +267,10 @@ fn end_wave_sample(number: u32, i: u32) {
         sum = Seen(v.xyz, v.w, sum.first);
     }
     sum = add_sample(sum, seen, i);
-    if i + 1u < end_sample(job) {
+    let next = sample_after(job, i);
+    if next != NO_SAMPLE {
         set_numbers(ROW_SUM, sum.color, sum.alpha);
-        begin_wave_sample(job, pixel, number, i + 1u);
+        begin_wave_sample(job, pixel, number, next);
         return;
     }
     let place = pixel.at.y * job.width + pixel.at.x;

@@ -19,8 +19,10 @@ pub struct Frame {
     pub height: u32,
     /// Side of a square tile; edge tiles are cut.
     pub tile: u32,
-    /// Samples a pixel.
+    /// Samples a pixel; with adaptive sampling the most that one gets.
     pub samples: u32,
+    /// How they are taken.
+    pub sampling: Sampling,
     /// Reflections and refractions a path may take.
     pub depth: u32,
     /// Seed of the sampler.
@@ -31,6 +33,73 @@ pub struct Frame {
     pub format: PixelFormat,
     /// When rendered tiles are sent back.
     pub returns: ReturnMode,
+}
+
+/// How the samples of a frame are taken.
+#[derive(Clone, Copy, Debug, PartialEq, Encode, Decode)]
+pub struct Sampling {
+    /// Where the samples of a pixel lie.
+    pub sampler: Sampler,
+    /// Weight in a pixel below which a ray is not traced, [0, 1]; with 0 only depth and layers end a path.
+    pub cutoff: f32,
+    /// Whether blocks of pixels that are good enough get fewer samples.
+    pub adaptive: Option<Adaptive>,
+}
+
+impl Default for Sampling {
+    fn default() -> Self {
+        Self { sampler: Sampler::default(), cutoff: 1.0 / 512.0, adaptive: None }
+    }
+}
+
+/// Where the samples of a pixel lie.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Encode, Decode)]
+pub enum Sampler {
+    /// Correlated multi-jittered.
+    #[default]
+    Jittered,
+    /// Sobol's (0,2)-sequence, scrambled as Owen does.
+    LowDiscrepancy,
+}
+
+impl Sampler {
+    /// Every sampler.
+    pub const ALL: [Self; 2] = [Self::Jittered, Self::LowDiscrepancy];
+
+    /// The name in reports and on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Jittered => "jittered",
+            Self::LowDiscrepancy => "low-discrepancy",
+        }
+    }
+}
+
+/// Adaptive sampling: blocks of [`Adaptive::BLOCK`] pixels square, aligned to the image, get samples until they are good enough.
+#[derive(Clone, Copy, Debug, PartialEq, Encode, Decode)]
+pub struct Adaptive {
+    /// The estimated error that is good enough: root mean square over a block's pixels, in sRGB-coded values of [0, 1]; more than 0, at
+    /// most 1.
+    pub error: f32,
+}
+
+impl Adaptive {
+    /// Columns and rows of a block; a tile's side is a multiple of it, so that no block is rendered twice.
+    pub const BLOCK: u32 = 16;
+}
+
+impl Sampling {
+    /// Checks every number against its range, for a frame in tiles of side `tile`.
+    pub fn check(&self, tile: u32) -> Result<(), FrameError> {
+        if !(0.0..=1.0).contains(&self.cutoff) {
+            return Err(FrameError::Cutoff(self.cutoff));
+        }
+        match self.adaptive {
+            Some(Adaptive { error }) if !(error > 0.0 && error <= 1.0) => Err(FrameError::AdaptiveError(error)),
+            Some(_) if !tile.is_multiple_of(Adaptive::BLOCK) => Err(FrameError::TileBlocks(tile)),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// A pinhole camera in local units: the ray through (u, v) in [-1, 1]^2 is `origin + t normalize(forward + u
@@ -150,6 +219,15 @@ pub enum FrameError {
     /// Samples a pixel.
     #[error("{0} samples a pixel: must be in 1..={limit}", limit = limits::SAMPLES)]
     Samples(u32),
+    /// Weight cut-off.
+    #[error("cut-off {0}: a weight must be in 0..=1")]
+    Cutoff(f32),
+    /// Adaptive sampling's threshold.
+    #[error("adaptive sampling to an error of {0}: it must be more than 0 and at most 1")]
+    AdaptiveError(f32),
+    /// Tiles that cut blocks of adaptive sampling.
+    #[error("tile side {0}: with adaptive sampling it must be a multiple of {block}", block = Adaptive::BLOCK)]
+    TileBlocks(u32),
     /// Depth.
     #[error("depth {0}: must be at most {limit}", limit = limits::DEPTH)]
     Depth(u32),
@@ -169,6 +247,7 @@ impl Frame {
         if !(1..=limits::SAMPLES).contains(&self.samples) {
             return Err(FrameError::Samples(self.samples));
         }
+        self.sampling.check(self.tile)?;
         if self.depth > limits::DEPTH {
             return Err(FrameError::Depth(self.depth));
         }
@@ -211,6 +290,7 @@ mod tests {
             height: 1024,
             tile: 128,
             samples: 1,
+            sampling: Sampling::default(),
             depth: 8,
             seed: 0,
             features: Features::default(),
@@ -241,6 +321,25 @@ mod tests {
             Err(FrameError::TileBytes { bytes: 1 << 28 })
         );
         assert_eq!(check(&|f| f.samples = 0), Err(FrameError::Samples(0)));
+        assert_eq!(check(&|f| f.sampling.cutoff = 0.0), Ok(64));
+        assert_eq!(check(&|f| f.sampling.cutoff = 1.0), Ok(64));
+        assert_eq!(check(&|f| f.sampling.cutoff = 1.5), Err(FrameError::Cutoff(1.5)));
+        assert_eq!(check(&|f| f.sampling.cutoff = -0.001), Err(FrameError::Cutoff(-0.001)));
+        assert!(matches!(check(&|f| f.sampling.cutoff = f32::NAN), Err(FrameError::Cutoff(_))));
+        let adaptive = |error| move |f: &mut Frame| f.sampling.adaptive = Some(Adaptive { error });
+        assert_eq!(check(&adaptive(1.0)), Ok(64));
+        assert_eq!(check(&adaptive(f32::MIN_POSITIVE)), Ok(64));
+        for error in [0.0, -1.0, 1.5, f32::INFINITY] {
+            assert_eq!(check(&adaptive(error)), Err(FrameError::AdaptiveError(error)));
+        }
+        assert!(matches!(check(&adaptive(f32::NAN)), Err(FrameError::AdaptiveError(_))));
+        for tile in [100, 24, 2000] {
+            let cutting = |f: &mut Frame| {
+                adaptive(0.1)(f);
+                f.tile = tile;
+            };
+            assert_eq!(check(&cutting), Err(FrameError::TileBlocks(tile)));
+        }
         assert_eq!(check(&|f| f.depth = 33), Err(FrameError::Depth(33)));
         assert_eq!(check(&|f| f.camera.origin[1] = f32::NAN), Err(FrameError::Camera("origin")));
         assert_eq!(check(&|f| f.camera.forward = [0.0; 3]), Err(FrameError::Camera("forward")));

@@ -29,7 +29,9 @@ pub use client::{
     ClassSummary, DifferenceSummary, FrameFailure, FrameSummary, FromClient, ToClient, WorkerSummary,
 };
 pub use error::{AbortCode, PackRefusal, Refusal, plain_text};
-pub use frame::{Camera, Features, Frame, FrameError, PixelFormat, ReturnMode};
+pub use frame::{
+    Adaptive, Camera, Features, Frame, FrameError, PixelFormat, ReturnMode, Sampler, Sampling,
+};
 pub use grid::{Rect, TileGrid};
 pub use ids::{Attempt, FrameId, PackId, TileId, WorkerId};
 pub use join::{Fingerprint, JoinString, JoinStringError, Token};

@@ -15,11 +15,13 @@ pub enum Version {
     /// `Abilities` has a speed and a note on the device, `PackRefusal` a reason for what a GPU cannot hold; frames may mix numeric
     /// classes: `Render` says so, `Restarted` and the summaries tell of classes and how far they differ.
     V3 = 3,
+    /// `Frame` says how its samples are taken: by which sampler, to which weight, and whether adaptively.
+    V4 = 4,
 }
 
 impl Version {
     /// All versions that this build speaks, newest first.
-    pub const SUPPORTED: &'static [Self] = &[Self::V3];
+    pub const SUPPORTED: &'static [Self] = &[Self::V4];
 
     /// The number on the wire.
     pub const fn number(self) -> u16 {
@@ -48,12 +50,12 @@ mod tests {
 
     #[test]
     fn an_older_a_newer_and_a_disjoint_peer() {
-        assert_eq!(Version::common(&[3]), Some(Version::V3));
-        assert_eq!(Version::common(&[7, 4, 3, 1]), Some(Version::V3), "a newer one that still speaks ours");
-        assert_eq!(Version::common(&[2, 1]), None, "an older one");
-        assert_eq!(Version::common(&[4, 5]), None, "a newer one");
+        assert_eq!(Version::common(&[4]), Some(Version::V4));
+        assert_eq!(Version::common(&[7, 5, 4, 1]), Some(Version::V4), "a newer one that still speaks ours");
+        assert_eq!(Version::common(&[3, 2, 1]), None, "an older one");
+        assert_eq!(Version::common(&[5, 6]), None, "a newer one");
         assert_eq!(Version::common(&[]), None);
-        assert_eq!(Version::from_number(3), Some(Version::V3));
-        assert_eq!([0, 1, 2, 4].map(Version::from_number), [None; 4]);
+        assert_eq!(Version::from_number(4), Some(Version::V4));
+        assert_eq!([0, 1, 2, 3, 5].map(Version::from_number), [None; 5]);
     }
 }

@@ -133,6 +133,7 @@ messages! {
         height: u32,
         tile: u32,
         samples: u32,
+        sampling: Sampling,
         depth: u32,
         seed: u64,
         /// Shadows, reflection, refraction.
@@ -140,6 +141,8 @@ messages! {
         format: PixelFormat,
         returns: ReturnMode,
     }
+    struct Sampling { sampler: Sampler, cutoff: f32, adaptive: Option<f32> }
+    enum Sampler { Jittered, LowDiscrepancy }
     enum PixelFormat { Rgba8, Rgba16, Layers }
     enum ReturnMode { AtEnd, Batches { min_bytes: u32 } }
     struct PackChunk { pack: [u8; 32], offset: u64, length: u32 }
@@ -159,7 +162,7 @@ messages! {
 #[test]
 fn wincode_reads_and_writes_every_golden_line() {
     let mut lines = 0;
-    for line in include_str!("golden_v3.txt").lines() {
+    for line in include_str!("golden_v4.txt").lines() {
         let (name, hex) = line.rsplit_once(": ").expect("a name and its bytes");
         let frame: Vec<u8> = (0..hex.len() / 2)
             .map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).expect("hexadecimal digits"))
@@ -184,7 +187,7 @@ fn wincode_reads_and_writes_every_golden_line() {
 #[test]
 fn what_wincode_reads_is_what_was_meant() {
     let golden = |name: &str| {
-        let line = include_str!("golden_v3.txt")
+        let line = include_str!("golden_v4.txt")
             .lines()
             .find_map(|line| line.strip_prefix(name)?.strip_prefix(": "));
         let hex = line.expect("a golden line").to_owned();
@@ -202,7 +205,7 @@ fn what_wincode_reads_is_what_was_meant() {
     };
     assert_eq!(
         same::<ToMaster, _>("hello", &golden("to master, hello"), config!()),
-        ToMaster::Hello { versions: vec![3], token: [0x5C; 16], name: "w0".into(), role }
+        ToMaster::Hello { versions: vec![4], token: [0x5C; 16], name: "w0".into(), role }
     );
     assert_eq!(
         same::<ToWorker, _>("assign", &golden("to worker, assign"), config!()),

@@ -57,6 +57,35 @@ fn decode_as_everything(body: &[u8]) {
     }
 }
 
+/// A frame whose numbers are any at all is judged without a panic, and what passes is within its ranges.
+#[test]
+fn samplings_out_of_range_are_refused() {
+    let numbers = [f32::NAN, f32::INFINITY, -f32::INFINITY, -1.0, -0.0, f32::MIN_POSITIVE, 0.5, 1.0, 1.0f32.next_up()];
+    for (cutoff, error) in numbers.into_iter().flat_map(|a| numbers.map(|b| (a, b))) {
+        for (tile, adaptive) in [(0, None), (48, Some(Adaptive { error })), (50, Some(Adaptive { error })), (50, None)] {
+            let sampling = Sampling { cutoff, adaptive, ..Sampling::default() };
+            let frame = Frame { tile, sampling, ..samples::frame() };
+            let bytes = codec::encode(&ToWorker::Frame(frame)).unwrap();
+            let Ok(ToWorker::Frame(read)) = decode_checked(&bytes[codec::PREFIX_BYTES..]) else {
+                panic!("it decodes whatever its numbers are");
+            };
+            let in_range = (0.0..=1.0).contains(&cutoff)
+                && adaptive.is_none_or(|a| a.error > 0.0 && a.error <= 1.0 && tile % 16 == 0)
+                && tile > 0;
+            assert_eq!(read.check().is_ok(), in_range, "{cutoff}, {adaptive:?}, tiles of {tile}");
+        }
+    }
+    // No sampler has the number 2: of the frame's bytes one says which.
+    let bytes = |sampler| {
+        let sampling = Sampling { sampler, ..Sampling::default() };
+        codec::encode(&ToWorker::Frame(Frame { sampling, ..samples::frame() })).unwrap()
+    };
+    let [jittered, low] = Sampler::ALL.map(bytes);
+    let at = jittered.iter().zip(&low).position(|(a, b)| a != b).expect("they differ");
+    let unknown = [&low[codec::PREFIX_BYTES..at], &[2], &low[at + 1..]].concat();
+    assert!(decode_checked::<ToWorker>(&unknown).is_err());
+}
+
 fn all_bodies() -> Vec<Vec<u8>> {
     let mut frames = Vec::new();
     frames.extend(samples::to_master().iter().map(|(_, m)| codec::encode(m).unwrap()));
@@ -214,7 +243,7 @@ fn the_largest_honest_messages_fit() {
     let frame = codec::encode(&summary).unwrap();
     assert_eq!(decode_checked::<FrameSummary>(&frame[codec::PREFIX_BYTES..]), Ok(summary));
     let hello = Hello {
-        versions: vec![u16::MAX - 1, 3].into_iter().cycle().take(limits::VERSIONS).collect(),
+        versions: vec![u16::MAX - 1, 4].into_iter().cycle().take(limits::VERSIONS).collect(),
         token: Token([0xFF; 16]),
         name: text("n"),
         role: Role::Worker(Abilities {

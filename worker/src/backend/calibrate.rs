@@ -82,6 +82,7 @@ fn task(pack: &Pack, side: u32) -> Option<RenderTask> {
         height: side,
         tile: side,
         samples: 1,
+        sampling: Default::default(),
         depth: 3,
         seed: 0,
         features: Features::default(),

@@ -1,12 +1,14 @@
 //! Tiles on all cores.
 
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tessera_geometry::{LocalCamera, Vec3};
 use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
+use tessera_whitted::adaptive::{AdaptiveTile, BLOCK_SIDE, Round};
 use tessera_whitted::{self as whitted, FrameParams, PixelBlock, RayCounts, Renderer};
-use tessera_wire::{Frame, PixelFormat, Rays, Rect};
+use tessera_wire::{Adaptive, Frame, PixelFormat, Rays, Rect, Sampler};
 
 /// What `Hello` calls this backend.
 pub(crate) const NAME: &str = "cpu";
@@ -38,17 +40,82 @@ pub(crate) fn render(
     let mut pixels = vec![0; rect.width as usize * rect.height as usize * pixel_bytes];
     let renderer = Renderer::with_kernel(pack, kernel);
     let block_pixels = (BLOCK_PIXELS / frame.samples.max(1)).max(LEAST_BLOCK_PIXELS);
-    let counts = split(rect, block_pixels, pixel_bytes, &mut pixels)
-        .into_par_iter()
-        .map(|(block, out)| {
-            (!stop.load(Ordering::Relaxed)).then(|| renderer.render_block(&params, block, out))
+    let Rect { x, y, width, height } = rect;
+    let counts = match AdaptiveTile::new(&params, PixelBlock { x, y, width, height }) {
+        Some(tile) => render_adaptive(&renderer, &params, tile, rect, &mut pixels, stop),
+        None => in_parallel(split(rect, block_pixels, pixel_bytes, &mut pixels), stop, |(block, out)| {
+            ((), renderer.render_block(&params, block, out))
         })
-        .try_reduce(RayCounts::default, |mut a, b| {
-            a += b;
-            Some(a)
-        });
+        .map(|(_, counts)| counts),
+    };
     let RayCounts { primary, shadow, reflection, refraction } = counts?;
     Some((pixels, Rays { primary, shadow, reflection, refraction }))
+}
+
+/// Renders `tile`, which is `rect`, round by round: the twin of what [`Renderer::render_block`] does with one thread.
+fn render_adaptive(
+    renderer: &Renderer<'_>,
+    params: &FrameParams,
+    mut tile: AdaptiveTile,
+    rect: Rect,
+    pixels: &mut [u8],
+    stop: &AtomicBool,
+) -> Option<RayCounts> {
+    let mut counts = RayCounts::default();
+    loop {
+        let work: Vec<_> = tile.work().iter().flat_map(pieces).collect();
+        if work.is_empty() {
+            break;
+        }
+        let (sums, rays) = in_parallel(work, stop, |(block, samples)| {
+            let mut sums = Vec::with_capacity((block.width * block.height) as usize);
+            let rays = renderer.sum_samples(params, block, samples, |x, y, sum| sums.push((x, y, sum)));
+            (sums, rays)
+        })?;
+        counts += rays;
+        for (x, y, sum) in sums.into_iter().flatten() {
+            tile.put(x, y, sum);
+        }
+        tile.end_round(pixels);
+    }
+    if params.format == whitted::PixelFormat::Layers {
+        let blocks = split(rect, BLOCK_PIXELS, params.format.bytes_per_pixel(), pixels);
+        let (_, rays) =
+            in_parallel(blocks, stop, |(block, out)| ((), renderer.write_surfaces(params, block, out)))?;
+        counts += rays;
+    }
+    Some(counts)
+}
+
+/// Does `work` with the threads of the current rayon pool; what comes of it, in order, and all rays. `None` when `stop` was set meanwhile.
+fn in_parallel<W: Send, R: Send>(
+    work: Vec<W>,
+    stop: &AtomicBool,
+    task: impl Fn(W) -> (R, RayCounts) + Sync,
+) -> Option<(Vec<R>, RayCounts)> {
+    let done: Option<Vec<_>> =
+        work.into_par_iter().map(|work| (!stop.load(Ordering::Relaxed)).then(|| task(work))).collect();
+    let (results, rays): (Vec<R>, Vec<RayCounts>) = done?.into_iter().unzip();
+    let mut counts = RayCounts::default();
+    rays.into_iter().for_each(|rays| counts += rays);
+    Some((results, counts))
+}
+
+/// Samples of a round that one task takes at most, in whole blocks: about as much work as [`BLOCK_PIXELS`] in the cheapest scene with as
+/// many samples as the first rounds have.
+const BLOCK_SAMPLES: usize = 16;
+
+/// Cuts a round into tasks: by blocks while they have few samples, else by as many pixels as the tracer takes together.
+fn pieces(round: &Round) -> impl Iterator<Item = (PixelBlock, Range<u32>)> + use<> {
+    let Round { rect, samples } = round.clone();
+    let (columns, rows) = if samples.len() <= BLOCK_SAMPLES { (BLOCK_SIDE, BLOCK_SIDE) } else { (4, 2) };
+    (0..rect.height).step_by(rows as usize).flat_map(move |y| {
+        let samples = samples.clone();
+        (0..rect.width).step_by(columns as usize).map(move |x| {
+            let (width, height) = (columns.min(rect.width - x), rows.min(rect.height - y));
+            (PixelBlock { x: rect.x + x, y: rect.y + y, width, height }, samples.clone())
+        })
+    })
 }
 
 /// Cuts `rect` into blocks of at most `block_pixels` that lie together in `pixels`: whole rows where they are short, pieces of
@@ -92,6 +159,14 @@ pub(crate) fn params(frame: &Frame) -> FrameParams {
         width: frame.width,
         height: frame.height,
         samples: frame.samples,
+        sampling: whitted::Sampling {
+            sampler: match frame.sampling.sampler {
+                Sampler::Jittered => whitted::Sampler::Jittered,
+                Sampler::LowDiscrepancy => whitted::Sampler::LowDiscrepancy,
+            },
+            cutoff: frame.sampling.cutoff,
+            adaptive: frame.sampling.adaptive.map(|Adaptive { error }| whitted::Adaptive { error }),
+        },
         max_depth: frame.depth,
         frame: frame.seed,
         features: whitted::Features {
@@ -110,6 +185,7 @@ pub(crate) fn params(frame: &Frame) -> FrameParams {
 // The wire's bounds are the tracer's.
 const _: () = {
     assert!(tessera_wire::limits::DEPTH == FrameParams::MAX_DEPTH);
+    assert!(Adaptive::BLOCK == BLOCK_SIDE);
     assert!(PixelFormat::Rgba8.bytes_per_pixel() == whitted::PixelFormat::Rgba8.bytes_per_pixel());
     assert!(PixelFormat::Rgba16.bytes_per_pixel() == whitted::PixelFormat::Rgba16.bytes_per_pixel());
     assert!(PixelFormat::Layers.bytes_per_pixel() == whitted::PixelFormat::Layers.bytes_per_pixel());

@@ -35,6 +35,7 @@ fn frame(id: u64, returns: ReturnMode) -> Frame {
         height: 4,
         tile: 2,
         samples: 1,
+        sampling: Default::default(),
         depth: 0,
         seed: 0,
         features: Features::default(),

@@ -238,6 +238,7 @@ fn pack(
         height,
         tile: width.max(height),
         samples: 1,
+        sampling: Default::default(),
         depth: args.depth,
         seed: 0,
         features: Features::default(),

@@ -8,7 +8,7 @@ use tessera_pack::{
     BuildError, Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, MaterialFlags, Pack,
     PackInput, PackOptions, Plain, build_pack,
 };
-use tessera_whitted::{Features, FrameParams, PixelBlock, PixelFormat, RayCounts, Renderer};
+use tessera_whitted::{Features, FrameParams, PixelBlock, PixelFormat, RayCounts, Renderer, Sampling};
 
 /// A scene under construction.
 #[derive(Clone, Default)]
@@ -190,6 +190,7 @@ pub struct View {
     pub width: u32,
     pub height: u32,
     pub samples: u32,
+    pub sampling: Sampling,
     pub max_depth: u32,
     pub features: Features,
 }
@@ -203,6 +204,7 @@ pub fn look(eye: [f64; 3], target: [f64; 3]) -> View {
         width: 1,
         height: 1,
         samples: 1,
+        sampling: Sampling::default(),
         max_depth: 8,
         features: Features::default(),
     }
@@ -219,6 +221,7 @@ impl View {
             width: self.width,
             height: self.height,
             samples: self.samples,
+            sampling: self.sampling,
             max_depth: self.max_depth,
             frame: 0,
             features: self.features,

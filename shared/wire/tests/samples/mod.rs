@@ -18,6 +18,7 @@ pub fn frame() -> Frame {
         height: 768,
         tile: 128,
         samples: 4,
+        sampling: Sampling::default(),
         depth: 8,
         seed: 300,
         features: Features { shadows: true, reflection: false, refraction: true },
@@ -30,7 +31,7 @@ pub fn to_master() -> Vec<(&'static str, ToMaster)> {
     let detail = || "d".to_string();
     let rejected = |reason| ToMaster::PackRejected { pack: PACK, reason };
     let hello = |role| {
-        ToMaster::Hello(Hello { versions: vec![3], token: Token([0x5C; 16]), name: "w0".into(), role })
+        ToMaster::Hello(Hello { versions: vec![4], token: Token([0x5C; 16]), name: "w0".into(), role })
     };
     let abilities = Abilities {
         memory: 1 << 33,
@@ -58,10 +59,15 @@ pub fn to_master() -> Vec<(&'static str, ToMaster)> {
 
 pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
     let abort = |code| ToWorker::Abort { code, detail: String::new() };
+    let adaptive = Sampling {
+        sampler: Sampler::LowDiscrepancy,
+        cutoff: 0.25,
+        adaptive: Some(Adaptive { error: 0.5 }),
+    };
     let tiles = vec![TileId(0), TileId(250), TileId(251), TileId(65_535)];
     vec![
-        ("welcome", ToWorker::Welcome { version: 3, worker: WorkerId(3) }),
-        ("refuse: version", ToWorker::Refuse(Refusal::Version { supported: vec![3] })),
+        ("welcome", ToWorker::Welcome { version: 4, worker: WorkerId(3) }),
+        ("refuse: version", ToWorker::Refuse(Refusal::Version { supported: vec![4] })),
         ("refuse: class", ToWorker::Refuse(Refusal::NumericClass { expected: "cpu-1".into() })),
         ("refuse: malformed", ToWorker::Refuse(Refusal::Malformed { detail: "d".into() })),
         ("refuse: token", ToWorker::Refuse(Refusal::Token)),
@@ -71,6 +77,7 @@ pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
         ("pack offer", ToWorker::PackOffer { pack: PACK, length: 5_000_000_000 }),
         ("frame", ToWorker::Frame(frame())),
         ("frame: at end", ToWorker::Frame(Frame { returns: ReturnMode::AtEnd, ..frame() })),
+        ("frame: adaptive", ToWorker::Frame(Frame { sampling: adaptive, ..frame() })),
         ("assign", ToWorker::Assign { frame: FrameId(7), attempt: Attempt(1), tiles }),
         ("end frame", ToWorker::EndFrame { frame: FrameId(7) }),
         ("dismiss", ToWorker::Dismiss),
@@ -88,7 +95,7 @@ pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
 }
 
 pub fn from_client() -> Vec<(&'static str, FromClient)> {
-    let hello = Hello { versions: vec![3], token: Token([0x5C; 16]), name: "c0".into(), role: Role::Client };
+    let hello = Hello { versions: vec![4], token: Token([0x5C; 16]), name: "c0".into(), role: Role::Client };
     let render = |balance| FromClient::Render { frame: frame(), balance, mix: false };
     vec![
         ("hello", FromClient::Hello(hello)),

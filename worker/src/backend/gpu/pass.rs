@@ -66,6 +66,11 @@ impl Cut {
         self.row >= self.height || self.width == 0
     }
 
+    /// Whether some samples of its rows are taken and others are not.
+    pub(super) fn is_begun(&self) -> bool {
+        self.taken > 0
+    }
+
     /// Whether the next piece within `budget` takes all samples of its rows.
     pub(super) fn fits(&self, budget: u64) -> bool {
         let is_whole = self.together != Together::One || self.samples == 1;

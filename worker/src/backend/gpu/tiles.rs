@@ -14,9 +14,11 @@ use bytemuck::{bytes_of, cast_slice};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tessera_whitted::device::{FrameInfo, Job, encode_rgba16, words_per_pixel};
-use tessera_whitted::{FrameParams, PixelFormat};
-use tessera_wire::Rays;
+use std::ops::Range;
+use tessera_whitted::adaptive::Round;
+use tessera_whitted::device::{FrameInfo, Job, device_format, encode_rgba16, words_per_pixel};
+use tessera_whitted::{AdaptiveTile, FrameParams, PixelBlock, PixelFormat};
+use tessera_wire::{Rays, Rect};
 use wgpu::{
     BindGroup, BindGroupDescriptor, BindGroupEntry, Buffer, BufferUsages, CommandEncoder, MapMode,
     SubmissionIndex,
@@ -62,12 +64,22 @@ pub(crate) struct Tiles {
 struct Waiting {
     task: RenderTask,
     params: FrameParams,
-    cut: Cut,
+    together: Together,
+    /// What is to be done for now: the whole tile, or with adaptive sampling the pixels of a round.
+    regions: Vec<Region>,
+    adaptive: Option<AdaptiveTile>,
     pixels: Vec<u8>,
     rays: Rays,
     time: Duration,
     /// Pieces under way.
     pieces: u32,
+}
+
+/// Pixels that get the same samples.
+struct Region {
+    rect: Rect,
+    samples: Range<u32>,
+    cut: Cut,
 }
 
 struct UnderWay {
@@ -88,6 +100,7 @@ struct UnderWay {
 /// A piece of a tile in a submission.
 struct Part {
     tile: u64,
+    region: usize,
     piece: Piece,
     at_pixels: u64,
     /// Whether its pixels are made.
@@ -159,15 +172,23 @@ impl Tiles {
             _ if self.scene.gpu.is_software() => Together::One,
             TraversalForm::PrivateStack | TraversalForm::ShortStack => Together::Fitting,
         };
-        self.waiting.push_back(Waiting {
+        let RenderTask { rect, .. } = task;
+        let Rect { x, y, width, height } = rect;
+        let mut waiting = Waiting {
             task,
             params,
-            cut: Cut::new(task.rect, params.samples, together),
+            together,
+            regions: vec![Region::new(rect, 0..params.samples.max(1), together)],
+            adaptive: AdaptiveTile::new(&params, PixelBlock { x, y, width, height }),
             pixels: vec![0; bytes],
             rays: Rays::default(),
             time: Duration::ZERO,
             pieces: 0,
-        });
+        };
+        if waiting.adaptive.is_some() {
+            waiting.begin_round();
+        }
+        self.waiting.push_back(waiting);
     }
 
     /// Forgets every tile; those that are being computed come to nothing.
@@ -185,7 +206,7 @@ impl Tiles {
         // While the tiles that this has finished are returned, the device goes on.
         while !self.free.is_empty() && self.submit()? {}
         let mut finished = Vec::new();
-        while self.waiting.front().is_some_and(|tile| tile.cut.is_done() && tile.pieces == 0) {
+        while self.waiting.front().is_some_and(|tile| tile.is_submitted() && tile.pieces == 0) {
             let Some(Waiting { task, pixels, rays, time, .. }) = self.waiting.pop_front() else { break };
             self.first += 1;
             finished.push(RenderedTile { task, pixels, time, rays });
@@ -195,59 +216,68 @@ impl Tiles {
 
     /// Submits as much as is due; false when nothing is left to submit.
     fn submit(&mut self) -> Result<bool, GpuError> {
-        let Some(start) = self.waiting.iter().position(|tile| !tile.cut.is_done()) else { return Ok(false) };
+        // What was begun comes first: `sums` is of it alone.
+        let begun = |tile: &Waiting| tile.regions.iter().any(|region| region.cut.is_begun());
+        let start = self.waiting.iter().position(begun);
+        let start = start.or_else(|| self.waiting.iter().position(|tile| !tile.is_submitted()));
+        let Some(start) = start else { return Ok(false) };
         let Some(slot) = self.free.pop() else { return Ok(false) };
         let params = self.waiting[start].params;
-        let words_each = u64::from(words_per_pixel(params.format));
+        let words_each = u64::from(words_per_pixel(device_format(&params)));
         let (mut jobs, mut parts): (Vec<Job>, Vec<Part>) = Default::default();
         let (mut work, mut words, mut sums, mut is_full) = (0, 0u64, 1, false);
         let (mut blocks, mut groups) = (0, 1);
 
         // Collect pieces of tiles of one frame until the budget is used up.
-        for (index, tile) in self.waiting.iter_mut().enumerate().skip(start) {
-            let Waiting { task, cut, params: tile_params, pieces, .. } = tile;
-            if *tile_params != params || jobs.len() == JOBS {
+        'collect: for (index, tile) in self.waiting.iter_mut().enumerate().skip(start) {
+            if tile.params != params {
                 break;
             }
-            // (A pixel costs what it costs the budget, and words of its own.)
-            let room = (PIXEL_WORDS_MAX - words) / words_each * cut.cost();
-            let left = self.budget.saturating_sub(work).min(room);
-            if !jobs.is_empty() && !cut.fits(left) {
-                is_full = true;
-                break;
-            }
-            let Some(piece) = cut.next(left) else { continue };
-            let Piece { row, rows, samples: (first_sample, end_sample) } = piece;
-            let (rect, pixels) = (task.rect, u64::from(task.rect.width) * u64::from(rows));
-            let is_last = end_sample == params.samples.max(1);
-            let is_whole = is_last && first_sample == 0;
-            jobs.push(Job {
-                x: rect.x,
-                y: rect.y + row,
-                width: rect.width,
-                height: rows,
-                first_sample,
-                end_sample,
-                at_pixels: words as u32,
-                first_block: blocks,
-            });
-            parts.push(Part { tile: self.first + index as u64, piece, at_pixels: words, is_last });
-            *pieces += 1;
-            work += cost_of(cut, pixels, end_sample - first_sample);
-            let of_it = rect.width.div_ceil(GROUP_SIDE).saturating_mul(rows.div_ceil(GROUP_SIDE));
-            (blocks, groups) = (blocks + of_it, groups.max(of_it));
-            if is_last {
-                words += pixels * words_each;
-            }
-            if !is_whole {
-                // Its sums are those of this submission alone.
-                sums = pixels;
-                is_full = true;
-                break;
-            }
-            if !cut.is_done() {
-                is_full = true;
-                break;
+            for (at, Region { rect, samples, cut }) in tile.regions.iter_mut().enumerate() {
+                if cut.is_done() {
+                    continue;
+                }
+                // (A pixel costs what it costs the budget, and words of its own.)
+                let room = (PIXEL_WORDS_MAX - words) / words_each * cut.cost();
+                let left = self.budget.saturating_sub(work).min(room);
+                if jobs.len() == JOBS || (!jobs.is_empty() && !cut.fits(left)) {
+                    is_full = true;
+                    break 'collect;
+                }
+                let Some(piece) = cut.next(left) else { continue };
+                let Piece { row, rows, samples: (first_sample, end_sample) } = piece;
+                let pixels = u64::from(rect.width) * u64::from(rows);
+                let is_last = end_sample == samples.len() as u32;
+                let is_whole = is_last && first_sample == 0;
+                jobs.push(Job {
+                    x: rect.x,
+                    y: rect.y + row,
+                    width: rect.width,
+                    height: rows,
+                    first_sample: samples.start + first_sample,
+                    end_sample: samples.start + end_sample,
+                    round_first: samples.start,
+                    round_end: samples.end,
+                    at_pixels: words as u32,
+                    first_block: blocks,
+                });
+                let tile_number = self.first + index as u64;
+                parts.push(Part { tile: tile_number, region: at, piece, at_pixels: words, is_last });
+                tile.pieces += 1;
+                work += cost_of(cut, pixels, end_sample - first_sample);
+                let of_it = rect.width.div_ceil(GROUP_SIDE).saturating_mul(rows.div_ceil(GROUP_SIDE));
+                (blocks, groups) = (blocks + of_it, groups.max(of_it));
+                if is_last {
+                    words += pixels * words_each;
+                }
+                if !is_whole {
+                    // Its sums are those of this submission alone.
+                    sums = pixels;
+                }
+                if !is_whole || !cut.is_done() {
+                    is_full = true;
+                    break 'collect;
+                }
             }
         }
         if sums * 16 > self.sums.size() {
@@ -370,23 +400,80 @@ impl Tiles {
                 tile.rays.shadow += u64::from(counts[1]);
                 tile.rays.reflection += u64::from(counts[2]);
                 tile.rays.refraction += u64::from(counts[3]);
-                let Piece { row, rows, samples: (first, end) } = part.piece;
-                let of_it = u64::from(tile.task.rect.width) * u64::from(rows);
-                let share = cost_of(&tile.cut, of_it, end - first) as f64 / work.max(1) as f64;
+                let Piece { rows, samples: (first, end), .. } = part.piece;
+                let region = &tile.regions[part.region];
+                let of_it = u64::from(region.rect.width) * u64::from(rows);
+                let share = cost_of(&region.cut, of_it, end - first) as f64 / work.max(1) as f64;
                 tile.time += took.mul_f64(share);
                 if part.is_last {
-                    let format = tile.params.format;
-                    let words = (of_it * u64::from(words_per_pixel(format))) as usize;
-                    let from = &pixels[part.at_pixels as usize..][..words];
-                    let bytes = format.bytes_per_pixel();
-                    let start = row as usize * tile.task.rect.width as usize * bytes;
-                    write_pixels(format, from, &mut tile.pixels[start..][..of_it as usize * bytes]);
+                    let words = (of_it * u64::from(words_per_pixel(device_format(&tile.params)))) as usize;
+                    tile.take(part, &pixels[part.at_pixels as usize..][..words]);
+                }
+                if tile.pieces == 0 && tile.is_submitted() {
+                    tile.end_round();
                 }
             }
         }
         slot.readback.unmap();
         self.free.push(slot);
         Ok(())
+    }
+}
+
+impl Region {
+    fn new(rect: Rect, samples: Range<u32>, together: Together) -> Self {
+        let cut = Cut::new(rect, samples.len() as u32, together);
+        Self { rect, samples, cut }
+    }
+}
+
+impl Waiting {
+    /// Whether nothing of it is left to submit for now.
+    fn is_submitted(&self) -> bool {
+        self.regions.iter().all(|region| region.cut.is_done())
+    }
+
+    /// Asks for the samples that are to be taken now: none when the tile is finished.
+    fn begin_round(&mut self) {
+        let Some(adaptive) = &mut self.adaptive else { return };
+        let region = |Round { rect: PixelBlock { x, y, width, height }, samples }| {
+            Region::new(Rect { x, y, width, height }, samples, self.together)
+        };
+        self.regions = adaptive.work().into_iter().map(region).collect();
+    }
+
+    /// Ends a round whose samples are all taken, and begins the next one.
+    fn end_round(&mut self) {
+        if let Some(adaptive) = &mut self.adaptive {
+            adaptive.end_round(&mut self.pixels);
+            self.begin_round();
+        }
+    }
+
+    /// Takes in the pixels of a part, or the sums of a round's samples.
+    fn take(&mut self, part: &Part, words: &[u32]) {
+        let Self { task: RenderTask { rect: tile, .. }, params, .. } = *self;
+        let Region { rect, ref samples, .. } = self.regions[part.region];
+        let bytes = params.format.bytes_per_pixel();
+        let Some(adaptive) = &mut self.adaptive else {
+            let start = part.piece.row as usize * tile.width as usize * bytes;
+            let length = rect.width as usize * part.piece.rows as usize * bytes;
+            return write_pixels(params.format, words, &mut self.pixels[start..][..length]);
+        };
+        let words_each = words_per_pixel(device_format(&params)) as usize;
+        let pixels = words.chunks_exact(words_each * rect.width as usize);
+        for (y, row) in (rect.y + part.piece.row..).zip(pixels) {
+            for (x, words) in (rect.x..).zip(row.chunks_exact(words_each)) {
+                let (sum, surface) = words.split_at(4);
+                adaptive.put(x, y, std::array::from_fn(|i| f32::from_bits(sum[i])));
+                // With layers, the first round brings what the pixel's centre shows.
+                let (column, row) = (x.wrapping_sub(tile.x), y.wrapping_sub(tile.y));
+                if samples.start == 0 && !surface.is_empty() && column < tile.width && row < tile.height {
+                    let place = row as usize * tile.width as usize + column as usize;
+                    self.pixels[place * bytes + 16..][..bytes - 16].copy_from_slice(cast_slice(surface));
+                }
+            }
+        }
     }
 }
 

@@ -13,10 +13,10 @@ use tessera_kdtree::{node, wgsl as kdtree};
 use tessera_pack::{EnvironmentKind, LightKind, Material, MaterialFlags, NO_TEXTURE, Wrap};
 use tessera_quantize::normal;
 use tessera_whitted::twins::{constants as whitted, frame_word};
-use tessera_whitted::{Features, FrameParams, PixelFormat, Probe};
+use tessera_whitted::{Features, FrameParams, PixelFormat, Probe, Sampler, Sampling};
 
 /// Constants that Rust has not, and why.
-const WGSL_ONLY: [(&str, &str); 21] = [
+const WGSL_ONLY: [(&str, &str); 23] = [
     ("SHORT", "a choice of the short stack, which the CPU has not; any gives the same answers"),
     ("LEAST_STEEPNESS", "of the distance without f64, which the CPU has not"),
     ("SQUARE_OVERFLOWS", "the CPU lets infinities come and go"),
@@ -33,6 +33,8 @@ const WGSL_ONLY: [(&str, &str); 21] = [
     ("ROW_VIEW", "a row of a state, which kernels alone read"),
     ("ROW_WAITING", "a row of a state, which kernels alone read"),
     ("ROW_LIGHT", "a row of a state, which kernels alone read"),
+    ("CENTRE", "not a number of a sample; the CPU looks for the surface by a function of its own"),
+    ("NO_SAMPLE", "not a number of a sample; a loop ends on the CPU"),
     ("PATH_NEW", "how far a probed path is, for the kernel alone"),
     ("PATH_UNDER_WAY", "how far a probed path is, for the kernel alone"),
     ("BARE", "a kind of query; a closure on the CPU"),
@@ -46,6 +48,10 @@ fn twins(f64: bool) -> BTreeMap<&'static str, u32> {
         frame_word(&frame(Features { shadows, reflection, refraction }, PixelFormat::Rgba8), "features")
     };
     let format = |format| frame_word(&frame(Features::default(), format), "format");
+    let sampler = |sampler| {
+        let sampling = Sampling { sampler, ..Sampling::default() };
+        frame_word(&FrameParams { sampling, ..frame(Features::default(), PixelFormat::Rgba8) }, "sampler")
+    };
     let mut twins = BTreeMap::from([
         ("NORMAL_ENTRIES", normal::ENTRIES as u32),
         ("MATERIAL_WORDS", size_of::<Material>() as u32 / 4),
@@ -67,6 +73,8 @@ fn twins(f64: bool) -> BTreeMap<&'static str, u32> {
         ("FEATURE_SHADOWS", feature(true, false, false).expect("a word")),
         ("FEATURE_REFLECTION", feature(false, true, false).expect("a word")),
         ("FEATURE_REFRACTION", feature(false, false, true).expect("a word")),
+        ("SAMPLER_JITTERED", sampler(Sampler::Jittered).expect("a word")),
+        ("SAMPLER_LOW_DISCREPANCY", sampler(Sampler::LowDiscrepancy).expect("a word")),
         ("FORMAT_RGBA8", format(PixelFormat::Rgba8).expect("a word")),
         ("FORMAT_RGBA16", format(PixelFormat::Rgba16).expect("a word")),
         ("FORMAT_LAYERS", format(PixelFormat::Layers).expect("a word")),
@@ -87,7 +95,8 @@ fn twins(f64: bool) -> BTreeMap<&'static str, u32> {
 
 pub(super) fn frame(features: Features, format: PixelFormat) -> FrameParams {
     let camera = LocalCamera { origin: Vec3::ZERO, forward: Vec3::Z, right: Vec3::X, up: Vec3::Y };
-    FrameParams { camera, width: 1, height: 1, samples: 1, max_depth: 1, frame: 0, features, format }
+    let sampling = Sampling::default();
+    FrameParams { camera, width: 1, height: 1, samples: 1, sampling, max_depth: 1, frame: 0, features, format }
 }
 
 /// The constants of a kernel's text.
