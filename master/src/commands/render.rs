@@ -208,6 +208,7 @@ impl<'a> Plan<'a> {
             height,
             tile: args.tile,
             samples: args.spp,
+            sampling: Default::default(),
             depth: args.depth,
             seed: 0,
             features: self.features,
