@@ -20,4 +20,4 @@ pub use camera::{CameraPose, LocalCamera};
 pub use frame::LocalFrame;
 pub use glam::{DVec3, Vec2, Vec3};
 pub use ray::{Hit, Ray};
-pub use srgb::linear_from_srgb;
+pub use srgb::{linear_from_srgb, srgb_from_linear};

@@ -32,10 +32,10 @@
 //! Stopping where the estimate happens to be low takes less samples than it should now and then; a picture's error is a little above the
 //! threshold in such blocks and well below in others. `tests/tracer/adaptive.rs` measures it.
 
-use crate::color::srgb_from_linear;
 use crate::pixel::{PixelBlock, write_codes};
 use crate::{FrameParams, PixelFormat};
 use std::ops::Range;
+use tessera_geometry::srgb_from_linear;
 
 /// Columns and rows of a block.
 pub const BLOCK_SIDE: u32 = 16;
