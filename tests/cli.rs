@@ -49,6 +49,15 @@ fn wrong_usage_is_exit_code_2_and_one_line() {
     check(&render(&["--depth", "33"]), &["--depth"]);
     check(&render(&["--bits", "12"]), &["--bits"]);
     check(&render(&["--refs", "3"]), &["--refs"]);
+    check(&render(&["--refs-when", "0.5,2"]), &["--refs-when", "two shares of 0 to 1"]);
+    check(&render(&["--least-saving", "-1"]), &["--least-saving"]);
+    check(&render(&["--cells", "31"]), &["--cells", "32..=8192"]);
+    check(&render(&["--position-bits", "11"]), &["--position-bits", "1..=10"]);
+    check(&render(&["--uv-bits", "0"]), &["--uv-bits", "1..=16"]);
+    check(&render(&["--normals", "octa"]), &["--normals", "smith, oct"]);
+    check(&render(&["--normals", "oct", "--plain"]), &["--normals has no effect on normals"]);
+    check(&render(&["--position-bits", "8", "--plain=positions"]), &["--position-bits has no effect"]);
+    check(&render(&["--uv-bits", "8", "--plain=normals,uv"]), &["--uv-bits has no effect"]);
     check(&render(&["--workers", "257"]), &["--workers"]);
     check(&render(&["--balance", "fair"]), &["--balance", "paper-static, static, paper-dynamic, dynamic"]);
     check(&render(&["--without", "colour"]), &["--without", "textures, shadows, reflection, refraction"]);
@@ -159,13 +168,90 @@ fn a_bundle_that_was_touched_is_refused() {
     };
     sparse(b"", &["not a pack"]);
     sparse(&bytes[..64], &["truncated or continued"]);
-    for flags in [&["--refs", "1"][..], &["--plain"], &["--without", "textures"]] {
+    for flags in [
+        &["--refs", "1"][..],
+        &["--plain"],
+        &["--without", "textures"],
+        &["--cells", "64"],
+        &["--position-bits", "5"],
+        &["--normals", "oct"],
+        &["--uv-bits", "5"],
+        &["--refs-when", "0.5,0.5"],
+        &["--least-saving", "0"],
+    ] {
         Tessera::new(["render", "a.tpack", "--out", "b.png"])
             .args(flags)
             .within(folder.path())
             .run()
             .fails(2, &["a.tpack", flags[0], "pack the scene again"]);
     }
+}
+
+/// A square with normals and a texture.
+const TEXTURED: &str = "\
+mtllib a.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvn 0.1 0.2 1\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n\
+f 1/1/1 2/2/1 3/3/1\nf 1/1/1 3/3/1 4/4/1\n";
+
+#[test]
+fn packing_flags_reach_the_pack_and_the_report() {
+    let folder = Folder::new();
+    folder.write("a.obj", TEXTURED);
+    folder.write("a.mtl", "newmtl a\nmap_Kd a.png\n");
+    image::RgbaImage::from_pixel(2, 2, image::Rgba([200, 100, 50, 255])).save(folder.file("a.png")).unwrap();
+    let info = |flags: &[&str]| {
+        let info = Tessera::new(["scene", "info", "a.obj", "--json"]).args(flags).within(folder.path());
+        info.run().json()
+    };
+    let usual = info(&[]);
+    let codes = |info: &serde_json::Value, names: &[&str]| -> Vec<serde_json::Value> {
+        names.iter().map(|name| info["codes"][name].clone()).collect()
+    };
+    let all = ["positions", "position_bits", "normals", "normal_table", "uv", "uv_bits"];
+    assert_eq!(
+        serde_json::Value::from(codes(&usual, &all)),
+        serde_json::json!(["cells", 10, "smith", 786_432, "fixed", 16])
+    );
+    let error = |info: &serde_json::Value| info["codes"]["normals_error"].as_f64().unwrap();
+    assert!((error(&usual) - 0.5625).abs() < 1e-3, "{usual}");
+
+    // Each by itself changes the pack, and what defaults say changes nothing.
+    let flags = ["--cells", "40", "--position-bits", "3", "--normals", "oct", "--uv-bits", "7"];
+    let packs: Vec<_> = flags.chunks_exact(2).map(|flag| info(flag)["pack_id"].clone()).collect();
+    assert!(packs.iter().all(|id| *id != usual["pack_id"]), "{packs:?}");
+    let stated = ["--cells", "8192", "--position-bits", "10", "--normals", "smith", "--uv-bits", "16"];
+    let tree = ["--refs-when", "0.5,0.4,0.6", "--least-saving", "1"];
+    assert_eq!(info(&[&stated[..], &tree].concat())["pack_id"], usual["pack_id"]);
+
+    let coarse = info(&flags);
+    assert_eq!(
+        serde_json::Value::from(codes(&coarse, &all)),
+        serde_json::json!(["cells", 3, "oct", 0, "fixed", 7])
+    );
+    assert!((error(&coarse) - 0.638).abs() < 1e-3, "{coarse}");
+    assert_eq!(coarse["grid"]["nx"], 40);
+    // The table is what the octahedron saves; the vertices are as long as they were.
+    assert_eq!(coarse["bytes"]["tables"], coarse["sections"]["cells"]);
+    assert_eq!(coarse["sections"]["records"], usual["sections"]["records"]);
+    let text = Tessera::new(["scene", "info", "a.obj"]).args(flags).within(folder.path()).run().ok();
+    let line = "codes      positions in cells, 3 bits an axis; normals oct, 16 bits, within 0.638 degrees, no table; \
+                texture coordinates 1 + 6 bits";
+    assert!(text.stdout.contains(line), "{}", text.stdout);
+
+    // A bundle tells the code, which is in it, and not how it was rounded.
+    let pack = Tessera::new(["scene", "pack", "a.obj", "--out", "b.tpack"]).args(flags).within(folder.path());
+    pack.run().ok();
+    let bundle = Tessera::new(["scene", "info", "b.tpack", "--json"]).within(folder.path()).run().json();
+    assert_eq!(bundle["pack_id"], coarse["pack_id"]);
+    assert_eq!(
+        serde_json::Value::from(codes(&bundle, &all)),
+        serde_json::json!(["cells", null, "oct", 0, "fixed", null])
+    );
+    // Plain vertices have no codes.
+    let plain = info(&["--plain"]);
+    assert_eq!(
+        serde_json::Value::from(codes(&plain, &all)),
+        serde_json::json!(["f32", null, "f32", 0, "f32", null])
+    );
 }
 
 #[test]

@@ -9,7 +9,8 @@ use tessera_geometry::{CameraPose, DVec3};
 use tessera_kdtree::BuildOptions;
 use tessera_pack::{
     Ambient, Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, MaterialFlags, NO_TEXTURE,
-    Pack, PackBuffer, PackError, PackInput, PackOptions, PackStage, PackStats, Plain, Wrap, build_pack_with,
+    NormalCode, Pack, PackBuffer, PackError, PackInput, PackOptions, PackStage, PackStats, Plain, Wrap,
+    build_pack_with,
     format::{HEADER_LEN, check_header},
 };
 use tessera_scene::{
@@ -18,7 +19,7 @@ use tessera_scene::{
 use tessera_wire::limits;
 
 /// What of a scene is packed, and how.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct PrepareOptions {
     /// Where to look for sources.
     pub load: LoadOptions,
@@ -28,6 +29,39 @@ pub struct PrepareOptions {
     pub plain: Plain,
     /// kd-tree.
     pub tree: BuildOptions,
+    /// Finest grid tried: intervals of the longest side, 32..=8192; see [`PackOptions::max_intervals`].
+    pub max_intervals: u32,
+    /// Bits of a packed position inside its cell, along an axis, 1..=10; see [`PackOptions::position_bits`].
+    pub position_bits: u32,
+    /// Code of packed normals.
+    pub normal_code: NormalCode,
+    /// Bits of a component of packed texture coordinates, 1..=16; see [`PackOptions::uv_bits`].
+    pub uv_bits: u32,
+}
+
+impl Default for PrepareOptions {
+    fn default() -> Self {
+        let PackOptions { plain, tree, max_intervals, position_bits, normal_code, uv_bits } =
+            PackOptions::default();
+        Self {
+            load: LoadOptions::default(),
+            without: Without::default(),
+            plain,
+            tree,
+            max_intervals,
+            position_bits,
+            normal_code,
+            uv_bits,
+        }
+    }
+}
+
+impl PrepareOptions {
+    /// Those of packing.
+    pub fn pack(&self) -> PackOptions {
+        let Self { plain, tree, max_intervals, position_bits, normal_code, uv_bits, .. } = *self;
+        PackOptions { plain, tree, max_intervals, position_bits, normal_code, uv_bits }
+    }
 }
 
 /// A pack, and everything about the scene that a user may want to know.
@@ -197,8 +231,7 @@ pub fn prepare_scene_with(
     scene.meshes = Vec::new();
     let input = pack_input(&scene, flat, &selection, &options.without);
     let Scene { name, cameras, mut warnings, notes, .. } = scene;
-    let pack_options = PackOptions { plain: options.plain, tree: options.tree, ..PackOptions::default() };
-    let (pack, stats) = build_pack_with(input, &pack_options, on_stage)
+    let (pack, stats) = build_pack_with(input, &options.pack(), on_stage)
         .map_err(|source| PrepareError::Pack { name: name.clone(), source })?;
     source.dropped.extend_from_slice(&stats.dropped);
     if stats.triangles == 0 {
@@ -495,6 +528,31 @@ mod tests {
         assert!(textures.pack.textures().is_empty() && !textures.pack.mesh().has_uvs());
         assert_eq!(textures.pack.materials()[1].base_texture, NO_TEXTURE);
         assert!(textures.left_out.len() > 1, "{:?}", textures.left_out);
+    }
+
+    #[test]
+    fn options_of_packing_reach_the_pack() {
+        assert_eq!(PrepareOptions::default().pack(), PackOptions::default());
+        let options = PrepareOptions {
+            plain: Plain { uvs: true, ..Plain::default() },
+            tree: BuildOptions { max_refs: 1, ..BuildOptions::default() },
+            max_intervals: 33,
+            position_bits: 4,
+            normal_code: NormalCode::Oct,
+            uv_bits: 5,
+            ..PrepareOptions::default()
+        };
+        let PackOptions { plain, tree, max_intervals, position_bits, normal_code, uv_bits } = options.pack();
+        assert_eq!((plain, tree), (options.plain, options.tree));
+        assert_eq!((max_intervals, position_bits, normal_code, uv_bits), (33, 4, NormalCode::Oct, 5));
+        let pack = prepare_scene(scene(), &options, Duration::ZERO).unwrap().pack;
+        assert_eq!(pack.head().cells.iter().max(), Some(&33));
+        let faulty = PrepareOptions { position_bits: 0, ..options };
+        let error = prepare_scene(scene(), &faulty, Duration::ZERO).err().unwrap().to_string();
+        assert_eq!(
+            error,
+            "test: positions of 0 bits an axis inside a cell were asked for; 1 to 10 are possible"
+        );
     }
 
     #[test]

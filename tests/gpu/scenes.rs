@@ -7,6 +7,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tessera_master::prepare::{PrepareOptions, Prepared, prepare, prepare_scene};
+use tessera_pack::NormalCode;
 use tessera_scene::LoadOptions;
 use tessera_scene::generate::{Kind, Recipe, generate};
 use tessera_whitted::{Features, FrameParams, PixelFormat};
@@ -85,6 +86,26 @@ fn plant() {
 #[test]
 fn city() {
     check_generated(Kind::City);
+}
+
+/// Normals on the octahedron, positions and texture coordinates rounded further.
+#[test]
+fn other_codes() {
+    with_every(|other| {
+        let mut scene = generate(&Recipe { kind: Kind::Hall, triangles: TRIANGLES, seed: 1 }).expect("in range");
+        scene.name = "hall".into();
+        let options = PrepareOptions {
+            normal_code: NormalCode::Oct,
+            position_bits: 7,
+            uv_bits: 9,
+            max_intervals: 256,
+            ..PrepareOptions::default()
+        };
+        let prepared = prepare_scene(scene, &options, Duration::ZERO).expect("it packs");
+        assert_eq!(prepared.pack.packed_normals(), Some(NormalCode::Oct));
+        assert!(prepared.pack.mesh().has_uvs());
+        check_prepared("hall, other codes", &prepared, other);
+    });
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use std::str::FromStr;
 use std::time::Duration;
+use tessera_pack::NormalCode;
 use tessera_wire::limits;
 
 /// An image size, `WIDTHxHEIGHT`.
@@ -75,6 +76,62 @@ pub fn byte_size(text: &str) -> Result<u64, String> {
     bytes.ok_or_else(|| "write a number of bytes with B, KiB, MiB, GiB or TiB, as in 8GiB".into())
 }
 
+/// A number that is finite and not below 0.
+pub fn at_least_zero(text: &str) -> Result<f32, String> {
+    let number: Option<f32> = text.trim().parse().ok();
+    number
+        .filter(|v| *v >= 0.0 && v.is_finite())
+        .ok_or_else(|| "write a number of 0 or more, as in 0.5".into())
+}
+
+/// When a triangle is worth a reference on an inner node of the kd-tree.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RefsWhen {
+    /// Share of the node's extent, in [0, 1].
+    pub occupancy: f32,
+    /// Share of the non-empty leaves below the node, in [0, 1].
+    pub frequency: f32,
+    /// Tests by a ray through the node, not below 0; none: as usual.
+    pub tests: Option<f32>,
+}
+
+impl FromStr for RefsWhen {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut parts = text.split(',').map(|part| at_least_zero(part).ok());
+        let mut share = || parts.next().flatten().filter(|share| *share <= 1.0);
+        let shares = share().zip(share());
+        match (shares, parts.next(), parts.next()) {
+            (Some((occupancy, frequency)), None, _) => Ok(Self { occupancy, frequency, tests: None }),
+            (Some((occupancy, frequency)), Some(Some(tests)), None) => {
+                Ok(Self { occupancy, frequency, tests: Some(tests) })
+            }
+            _ => {
+                Err("write two shares of 0 to 1, and a number of tests if you like, as in 0.5,0.4,0.6".into())
+            }
+        }
+    }
+}
+
+/// Codes of shading normals.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Normals {
+    /// Spread evenly over the sphere, at most 0.563 degrees off; a table of 768 KiB to decode with.
+    Smith,
+    /// On an octahedron, at most 0.638 degrees off; no table.
+    Oct,
+}
+
+impl From<Normals> for NormalCode {
+    fn from(normals: Normals) -> Self {
+        match normals {
+            Normals::Smith => Self::Smith,
+            Normals::Oct => Self::Oct,
+        }
+    }
+}
+
 /// Vertex data that `--plain` may hold as `f32`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum PlainPart {
@@ -118,6 +175,20 @@ mod tests {
         for bad in ["", "1,2", "1,2,3,4", "1,2,nan", "1,inf,2", "a,b,c"] {
             assert!(bad.parse::<Triple>().is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn what_is_worth_a_reference() {
+        let when = |occupancy, frequency, tests| Ok(RefsWhen { occupancy, frequency, tests });
+        assert_eq!("0.5,0.4".parse(), when(0.5, 0.4, None));
+        assert_eq!("0, 1, 2.5".parse(), when(0.0, 1.0, Some(2.5)));
+        let bad =
+            ["", "0.5", "0.5,", "0.5,1.1", "-0.1,0.4", "0.5,0.4,-1", "0.5,0.4,inf", "0.5,nan", "1,1,1,1"];
+        for bad in bad.into_iter().chain(["0.5,0.4,", "0.5,0.4,x"]) {
+            assert!(bad.parse::<RefsWhen>().is_err(), "{bad}");
+        }
+        assert_eq!((at_least_zero("0"), at_least_zero("1e3")), (Ok(0.0), Ok(1000.0)));
+        assert!(["-1", "nan", "1e99", ""].into_iter().all(|bad| at_least_zero(bad).is_err()));
     }
 
     #[test]

@@ -34,6 +34,7 @@ pub struct DemoArgs {
 }
 
 pub fn run(args: DemoArgs, progress: &Progress) -> Result<(), CommandError> {
+    args.packing.check_alone()?;
     let crew = Crew::Local(args.frame.local_crew(args.workers));
     let plan = Plan::check(&args.out, None, crew, &args.frame, &args.packing)?;
     let plan = plan.with_backend(progress)?;

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::time::Instant;
 use tessera_kdtree::{BuildOptions, Tree, Triangles, build::TreeStats};
-use tessera_master::prepare::Prepared;
+use tessera_master::prepare::{PrepareOptions, Prepared};
 use tessera_master::report::LeftOutLine;
-use tessera_pack::{Pack, format::Section};
+use tessera_pack::{NormalCode, Pack, format::Section};
 use tessera_quantize::sizes;
 use tessera_whitted::variant::Variant;
 
@@ -53,6 +53,7 @@ pub struct Info {
     pub dropped: BTreeMap<&'static str, u64>,
     pub left_out: Vec<LeftOutLine>,
     pub grid: Grid,
+    pub codes: Codes,
     /// What a GPU compiles for this pack.
     pub kernel: KernelLine,
     /// Of the pack's own tree.
@@ -120,6 +121,44 @@ pub struct Grid {
     pub precision: f64,
 }
 
+/// How vertices are coded.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Codes {
+    /// `cells` or `f32`.
+    pub positions: &'static str,
+    /// Of a position inside its cell, along an axis; none where it is `f32`, or in a bundle, which does not say how it was rounded.
+    pub position_bits: Option<u32>,
+    /// `smith`, `oct` or `f32`; none where there are none.
+    pub normals: Option<&'static str>,
+    /// Largest angle between a normal and what is decoded, in degrees; none for `f32`.
+    pub normals_error: Option<f64>,
+    /// Bytes of the table with which normals are decoded; it is in no file.
+    pub normal_table: u64,
+    /// `fixed` or `f32`; none where there are none.
+    pub uv: Option<&'static str>,
+    /// Of a component of a texture coordinate, one of them before the point; none as for `position_bits`.
+    pub uv_bits: Option<u32>,
+}
+
+impl Codes {
+    /// Those of `pack`, which was made with `options` unless it came as it is.
+    fn of(pack: &Pack, options: Option<&PrepareOptions>) -> Self {
+        let mesh = pack.mesh();
+        let is_plain = |section| pack.section_bytes(section) > 0;
+        let [positions, uvs] = [Section::Positions, Section::Uvs].map(is_plain);
+        let normals = pack.packed_normals();
+        Self {
+            positions: if positions { "f32" } else { "cells" },
+            position_bits: options.filter(|_| !positions).map(|o| o.position_bits),
+            normals: mesh.has_normals().then(|| normals.map_or("f32", NormalCode::name)),
+            normals_error: normals.map(|code| code.bound_radians().to_degrees()),
+            normal_table: if normals == Some(NormalCode::Smith) { NORMAL_TABLE } else { 0 },
+            uv: mesh.has_uvs().then_some(if uvs { "f32" } else { "fixed" }),
+            uv_bits: options.filter(|_| mesh.has_uvs() && !uvs).map(|o| o.uv_bits),
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Nodes {
     pub inner0: u64,
@@ -176,13 +215,13 @@ pub struct InfoMs {
 
 pub fn run(args: InfoArgs, progress: &Progress) -> Result<(), CommandError> {
     let prepared = run::prepare_scene(&args.scene.scene, &args.scene.packing, progress)?;
-    let options = args.scene.packing.options().tree;
+    let options = args.scene.packing.options();
     let build = |refs| {
         let _bar = progress.step(format!("building the kd-tree with {refs} references on an inner node"));
-        tree(&prepared.pack, BuildOptions { max_refs: refs, ..options })
+        tree(&prepared.pack, BuildOptions { max_refs: refs, ..options.tree })
     };
     let trees = [build(0)?, build(1)?, build(2)?];
-    let info = Info::new(prepared, trees);
+    let info = Info::new(prepared, &options, trees);
     if args.json { super::print_json(&info) } else { super::print_text(&info_text::text(&info)) }
 }
 
@@ -243,7 +282,7 @@ const TEXTURE_SECTIONS: [Section; 2] = [Section::Textures, Section::Texels];
 const NORMAL_TABLE: u64 = 12 << 16;
 
 impl Info {
-    fn new(prepared: Prepared, trees: [TreeLine; 3]) -> Self {
+    fn new(prepared: Prepared, options: &PrepareOptions, trees: [TreeLine; 3]) -> Self {
         let Prepared { name, pack, cameras, source, left_out, warnings, notes, timings } = prepared;
         let bytes_of = |sections: &[Section]| sections.iter().map(|&s| pack.section_bytes(s)).sum::<u64>();
         let (nv, nf) = (u64::from(pack.vertex_count()), u64::from(pack.triangle_count()));
@@ -251,7 +290,7 @@ impl Info {
         let has = |part: bool, bytes: u64| if part { bytes } else { 0 };
         let vertex_bytes =
             12 + has(mesh.has_normals(), 12) + has(mesh.has_uvs(), 8) + has(mesh.has_colors(), 4);
-        let quantised_normals = mesh.has_normals() && pack.section_bytes(Section::Normals) == 0;
+        let codes = Codes::of(&pack, source.as_ref().map(|_| options));
         let head = pack.head();
         let [nx, ny, nz] = head.cells;
         let mut dropped = BTreeMap::new();
@@ -287,12 +326,13 @@ impl Info {
                 step: head.step,
                 precision: 1.0 / (1024.0 * f64::from(nx.max(ny).max(nz))),
             },
+            codes,
             kernel: KernelLine::of(&pack),
             nodes: own,
             bytes: Bytes {
                 mesh_plain: vertex_bytes * nv + 12 * nf,
                 mesh_packed: bytes_of(&MESH_SECTIONS),
-                tables: pack.section_bytes(Section::Cells) + has(quantised_normals, NORMAL_TABLE),
+                tables: pack.section_bytes(Section::Cells) + codes.normal_table,
                 textures: bytes_of(&TEXTURE_SECTIONS),
                 tree_standard: trees[0].bytes,
                 tree_one_ref: trees[1].bytes,

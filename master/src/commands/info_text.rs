@@ -1,6 +1,6 @@
 //! `tessera scene info` for people.
 
-use super::info::{Info, TreeLine};
+use super::info::{Codes, Info, TreeLine};
 use std::fmt::Write;
 use tessera_master::report::{bytes, write_lists};
 
@@ -30,6 +30,7 @@ fn write_all(info: &Info, t: &mut String) -> std::fmt::Result {
     names(t, "textures", info.textures, &images)?;
     names(t, "lights", info.lights, &info.light_names)?;
     names(t, "cameras", info.cameras.len(), &info.cameras)?;
+    writeln!(t, "codes      {}", codes(&info.codes))?;
     writeln!(t, "kernel     {}", kernel(&info.kernel.name, &info.kernel.left_out))?;
     for (what, count) in info.dropped.iter().filter(|(_, count)| **count > 0) {
         writeln!(t, "dropped    {count} {what}")?;
@@ -140,6 +141,32 @@ fn tables(info: &Info, t: &mut String) -> std::fmt::Result {
         writeln!(t, "  {what:<33} {}   {:.3}", mib(after), ratio(before, after))?;
     }
     Ok(())
+}
+
+/// How vertices are coded.
+fn codes(codes: &Codes) -> String {
+    let mut text = match (codes.positions, codes.position_bits) {
+        ("f32", _) => "positions f32".into(),
+        (_, Some(bits)) => format!("positions in cells, {bits} bits an axis"),
+        (_, None) => "positions in cells".into(),
+    };
+    text += &match (codes.normals, codes.normals_error, codes.normal_table) {
+        (None, ..) => "; no normals".into(),
+        (Some(code), None, _) => format!("; normals {code}"),
+        (Some(code), Some(error), 0) => {
+            format!("; normals {code}, 16 bits, within {error:.3} degrees, no table")
+        }
+        (Some(code), Some(error), table) => {
+            format!("; normals {code}, 16 bits, within {error:.3} degrees, a table of {}", bytes(table))
+        }
+    };
+    text += &match (codes.uv, codes.uv_bits) {
+        (None, _) => "; no texture coordinates".into(),
+        (Some("f32"), _) => "; texture coordinates f32".into(),
+        (_, Some(bits)) => format!("; texture coordinates 1 + {} bits", bits - 1),
+        (_, None) => "; texture coordinates in fixed point".to_owned(),
+    };
+    text
 }
 
 /// A GPU's kernel, and what is not in it.

@@ -155,9 +155,38 @@ pub struct PackingArgs {
         default_missing_value = "positions,normals,uv"
     )]
     pub plain: Vec<args::PlainPart>,
+    /// The finest grid tried for positions: cells of the longest side, 32 to 8192 [default: 8192]
+    ///
+    /// The grid becomes the finest one up to this of which vertices lie in at most 65,536 cells.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(32..=8192))]
+    pub cells: Option<u32>,
+    /// Bits of a position inside its cell along an axis, 1 to 10 [default: 10]
+    ///
+    /// Positions are rounded to the middle of 2^BITS steps a cell; the size of the pack does not change.
+    #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u32).range(1..=10))]
+    pub position_bits: Option<u32>,
+    /// The 16-bit code of shading normals [default: smith]
+    #[arg(long, value_name = "CODE", value_enum)]
+    pub normals: Option<args::Normals>,
+    /// Bits of a texture coordinate, one before the point and the others behind it, 1 to 16 [default: 16]
+    ///
+    /// Coordinates are rounded to 2^(1-BITS); the size of the pack does not change. Those of triangles that span more than 2 stay f32.
+    #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u32).range(1..=16))]
+    pub uv_bits: Option<u32>,
     /// Triangle references on an inner node of the kd-tree [default: 2]
     #[arg(long, value_name = "0|1|2", value_parser = clap::value_parser!(u32).range(0..=2))]
     pub refs: Option<u32>,
+    /// When a triangle is worth a reference: OCCUPANCY,FREQUENCY[,TESTS] [default: 0.5,0.4,0.6]
+    ///
+    /// It must span that share of the node's extent and be listed by that share of the non-empty leaves below, both 0 to 1, and be tested at
+    /// least so often by a ray through the node without the reference (0: no matter how often).
+    #[arg(long, value_name = "SHARES")]
+    pub refs_when: Option<args::RefsWhen>,
+    /// What a split of the kd-tree must save a ray, in steps down the tree for all triangles around it together [default: 1]
+    ///
+    /// 0 keeps every split that saves anything: a larger tree, faster by less than a step.
+    #[arg(long, value_name = "STEPS", value_parser = args::at_least_zero)]
+    pub least_saving: Option<f32>,
     /// Leave out features, separated by commas
     #[arg(long, value_name = "FEATURES", value_enum, value_delimiter = ',')]
     pub without: Vec<args::Feature>,

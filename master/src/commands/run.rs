@@ -30,23 +30,56 @@ impl PackingArgs {
             },
             ..PrepareOptions::default()
         };
-        options.tree.max_refs = self.refs.unwrap_or(options.tree.max_refs);
+        let set = |to: &mut u32, asked: Option<u32>| *to = asked.unwrap_or(*to);
+        set(&mut options.max_intervals, self.cells);
+        set(&mut options.position_bits, self.position_bits);
+        set(&mut options.uv_bits, self.uv_bits);
+        options.normal_code = self.normals.map_or(options.normal_code, Into::into);
+        let tree = &mut options.tree;
+        set(&mut tree.max_refs, self.refs);
+        if let Some(args::RefsWhen { occupancy, frequency, tests }) = self.refs_when {
+            (tree.tau_occupancy, tree.tau_frequency) = (occupancy, frequency);
+            tree.tau_tests = tests.unwrap_or(tree.tau_tests);
+        }
+        tree.least_saving = self.least_saving.unwrap_or(tree.least_saving);
         options
     }
 
-    /// A bundle is used as it is: what it holds cannot be asked for any more.
+    /// Whether all that is asked for has an effect on the scene at `path`.
     fn check(&self, path: &Path) -> Result<(), CommandError> {
+        self.check_alone()?;
         let is_bundle = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tpack"));
-        let textures = self.without.contains(&args::Feature::Textures);
         let asked = [
             (!self.plain.is_empty(), "--plain"),
+            (self.cells.is_some(), "--cells"),
+            (self.position_bits.is_some(), "--position-bits"),
+            (self.normals.is_some(), "--normals"),
+            (self.uv_bits.is_some(), "--uv-bits"),
             (self.refs.is_some(), "--refs"),
-            (textures, "--without textures"),
+            (self.refs_when.is_some(), "--refs-when"),
+            (self.least_saving.is_some(), "--least-saving"),
+            (self.without.contains(&args::Feature::Textures), "--without textures"),
         ];
         match asked.into_iter().find(|(asked, _)| is_bundle && *asked) {
+            // A bundle is used as it is: what it holds cannot be asked for any more.
             Some((_, flag)) => Err(CommandError::Usage(format!(
                 "{}: a bundle is used as it is, {flag} has no effect on it; pack the scene again with it",
                 path.display()
+            ))),
+            None => Ok(()),
+        }
+    }
+
+    /// Whether all that is asked for has an effect, whatever the scene.
+    pub fn check_alone(&self) -> Result<(), CommandError> {
+        let asked = [
+            (self.position_bits.is_some(), args::PlainPart::Positions, "--position-bits", "positions"),
+            (self.normals.is_some(), args::PlainPart::Normals, "--normals", "normals"),
+            (self.uv_bits.is_some(), args::PlainPart::Uv, "--uv-bits", "texture coordinates"),
+        ];
+        match asked.into_iter().find(|(asked, part, ..)| *asked && self.plain.contains(part)) {
+            Some((.., flag, what)) => Err(CommandError::Usage(format!(
+                "{flag} has no effect on {what} that --plain holds as f32; leave one of the two out"
             ))),
             None => Ok(()),
         }

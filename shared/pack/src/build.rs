@@ -12,8 +12,8 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use tessera_geometry::{DVec3, LocalFrame};
 use tessera_kdtree::{BuildOptions, Triangles, build::TreeStats};
-use tessera_quantize::Grid;
-use tessera_quantize::grid::{MAX_INTERVALS, VOXELS_PER_CELL};
+use tessera_quantize::grid::{MAX_INTERVALS, POSITION_BITS, VOXELS_PER_CELL};
+use tessera_quantize::{Grid, NormalCode, UvBits};
 
 /// Which vertex sections are held as plain `f32` instead of quantised.
 ///
@@ -41,11 +41,26 @@ pub struct PackOptions {
     /// Finest grid tried: intervals of the longest side, 32..=8192. The paper's limit is 1024; above it only meshes that occupy
     /// few cells can go.
     pub max_intervals: u32,
+    /// Bits of a packed position inside its cell, along an axis, 1..=10; places inside a cell are 2^-bits of its side apart. All 10 are held
+    /// and decoded in any case: fewer are rounded to when packing, and cost nothing less.
+    pub position_bits: u32,
+    /// Code of packed normals.
+    pub normal_code: NormalCode,
+    /// Bits of a component of packed texture coordinates, 1..=16: one before the point, the others behind it. As for `position_bits`, fewer
+    /// than 16 are rounded to when packing. Coordinates in the side table stay `f32`.
+    pub uv_bits: u32,
 }
 
 impl Default for PackOptions {
     fn default() -> Self {
-        Self { plain: Plain::default(), tree: BuildOptions::default(), max_intervals: MAX_INTERVALS }
+        Self {
+            plain: Plain::default(),
+            tree: BuildOptions::default(),
+            max_intervals: MAX_INTERVALS,
+            position_bits: POSITION_BITS,
+            normal_code: NormalCode::default(),
+            uv_bits: UvBits::ALL.bits(),
+        }
     }
 }
 
@@ -110,6 +125,10 @@ pub fn build_pack_with(
     mut on_stage: impl FnMut(PackStage),
 ) -> Result<(Pack, PackStats), BuildError> {
     on_stage(PackStage::Quantise);
+    let uv_bits = UvBits::new(options.uv_bits).ok_or_else(|| {
+        let asked = options.uv_bits;
+        BuildError::Input(format!("texture coordinates of {asked} bits were asked for; 1 to 16 are possible"))
+    })?;
     check_input(&input)?;
     let mut stats = PackStats {
         triangles_in: input.triangles.len() as u64,
@@ -120,8 +139,9 @@ pub fn build_pack_with(
 
     // Keep usable triangles, and the vertices that they use.
     let mut ids = drop_unusable(&mut input, &mut stats);
-    let grid =
-        Grid::lay(&input.positions, options.max_intervals).map_err(|e| BuildError::Input(e.to_string()))?;
+    let grid = Grid::lay(&input.positions, options.max_intervals)
+        .and_then(|grid| grid.with_position_bits(options.position_bits))
+        .map_err(|e| BuildError::Input(e.to_string()))?;
     let frame = grid.frame();
     note_grid(&input, &grid, &mut stats);
 
@@ -130,8 +150,8 @@ pub fn build_pack_with(
     let (material_runs, id_runs) = sort_by_material(&mut input, &mut ids);
 
     // Choose texture shifts; from here triangles name packed vertices.
-    let plan = plan_vertices(&mut input, &ids, &material_runs, &mut stats)?;
-    let mut sections = Sections::new(&input, &grid, &plan, options.plain, &mut stats);
+    let plan = plan_vertices(&mut input, &ids, &material_runs, uv_bits, &mut stats)?;
+    let mut sections = Sections::new(&input, &grid, &plan, options, &mut stats);
     // The full-precision arrays have done their part: free them before the tree is built.
     (input.positions, input.normals, input.uvs, input.colors) = Default::default();
     sections.faces = std::mem::take(&mut input.triangles);
@@ -148,7 +168,7 @@ pub fn build_pack_with(
 
     // Build the tree on what the pack holds, not on what the input held.
     let mut head = Head {
-        anchor: grid.anchor,
+        anchor: frame.anchor.to_array(),
         step: grid.step,
         cells: grid.cells,
         record_words: sections.record_words,
@@ -159,7 +179,7 @@ pub fn build_pack_with(
         root_min: [0.0; 3],
         root_max: [0.0; 3],
         ambient: ambient.radiance,
-        flags: if sections.has_normals { Head::HAS_NORMALS } else { 0 },
+        flags: sections.flags(),
     };
     drop((plan, ids, grid));
     on_stage(PackStage::Tree);

@@ -1,13 +1,14 @@
 //! A pack in compute memory: the kd-tree's slots by themselves, and everything else as one row of words.
 
 use crate::color::srgb8_to_linear_table;
-use crate::format::{Head, Section};
+use crate::format::Section;
 use crate::view::{Pack, cells_are_wide, voxel_bias};
 use bytemuck::cast_slice;
-use tessera_quantize::NormalTable;
+use tessera_quantize::{NormalCode, NormalTable};
 
 /// The text for GPUs of sections and of the records in them.
-pub const WGSL: [&str; 2] = [tessera_quantize::vertex::WGSL, include_str!("sections.wgsl")];
+pub const WGSL: [&str; 3] =
+    [tessera_quantize::vertex::WGSL, tessera_quantize::oct::WGSL, include_str!("sections.wgsl")];
 
 /// Places in the row of words, by section; that of an absent section is where it would begin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -28,7 +29,7 @@ pub struct Places {
     pub textures: u32,
     pub texels: u32,
     pub lights: u32,
-    /// The decoded normals by code, 3 words each; only where packed normals are used.
+    /// The decoded normals by code, 3 words each; only where normals of [`NormalCode::Smith`] are used.
     pub normal_table: u32,
     /// The linear values of 256 sRGB codes.
     pub srgb: u32,
@@ -58,9 +59,8 @@ impl<'a> DeviceWords<'a> {
             places: Places::default(),
             length: 0,
         };
-        let packed_normals =
-            pack.head().flags & Head::HAS_NORMALS != 0 && pack.section_bytes(Section::Normals) == 0;
-        let normals: &[[f32; 3]] = if packed_normals { NormalTable::get().entries() } else { &[] };
+        let needs_table = pack.packed_normals() == Some(NormalCode::Smith);
+        let normals: &[[f32; 3]] = if needs_table { NormalTable::get().entries() } else { &[] };
         let place = &mut words.places;
         for (to, bytes) in [
             (&mut place.list, pack.section(Section::List)),
@@ -101,6 +101,8 @@ pub struct VertexLayout {
     pub record_words: u32,
     /// Normals are `f32` and not codes.
     pub plain_normals: bool,
+    /// Codes of normals are [`NormalCode::Oct`], which needs no table.
+    pub oct_normals: bool,
     /// Texture coordinates are `f32`.
     pub plain_uvs: bool,
     /// Some are in the side table.
@@ -116,6 +118,7 @@ impl VertexLayout {
             wide_cells: cells_are_wide(head.cells),
             record_words: head.record_words,
             plain_normals: pack.section_bytes(Section::Normals) > 0,
+            oct_normals: head.normal_code() == NormalCode::Oct,
             plain_uvs: pack.section_bytes(Section::Uvs) > 0,
             has_side_uvs: pack.section_bytes(Section::SideUvs) > 0,
         }

@@ -16,11 +16,16 @@
 //! need is absent, and an empty one is never stored. Two packs with the same content are the same bytes.
 //!
 //! The normal table is a constant function and not stored. What each section holds is said at [`Section`].
+//!
+//! How coarsely positions and texture coordinates were rounded before they were packed is not stored either: no reader decodes them
+//! differently. Which code normals have is a flag of [`Head`]; a reader that does not know a flag refuses the pack, so that a new flag needs no new
+//! version.
 
 use crate::buffer::{ALIGNMENT, PackBuffer};
 use crate::error::PackError;
 use bytemuck::{Pod, Zeroable};
 use std::ops::Range;
+use tessera_quantize::NormalCode;
 
 #[cfg(target_endian = "big")]
 compile_error!("packs are read in place and little endian: big-endian targets are not supported");
@@ -59,7 +64,8 @@ sections! {
     /// Cell table, ascending. `u32` each when no axis has more than 1024 cells: z in bits 0..=9, y in 10..=19, x in 20..=29.
     /// Otherwise `u64` each: z in bits 0..=15, y in 16..=31, x in 32..=47.
     Cells = "cells",
-    /// Vertex records of [`Head::record_words`] words each, see [`tessera_quantize::vertex`]. Absent when everything is plain.
+    /// Vertex records of [`Head::record_words`] words each, see [`tessera_quantize::vertex`]; normals in them have the code
+    /// [`Head::normal_code`]. Absent when everything is plain.
     Records = "records",
     /// Plain positions, 3 x `f32` in local units.
     Positions = "position",
@@ -135,7 +141,7 @@ pub struct Head {
     pub root_max: [f32; 3],
     /// Ambient radiance.
     pub ambient: [f32; 3],
-    /// [`Head::HAS_NORMALS`]; the rest 0.
+    /// [`Head::HAS_NORMALS`], [`Head::OCT_NORMALS`]; the rest 0.
     pub flags: u32,
 }
 
@@ -144,6 +150,13 @@ const _: () = assert!(size_of::<Head>() == 104);
 impl Head {
     /// Some vertex has a normal.
     pub const HAS_NORMALS: u32 = 1;
+    /// Normals in the records have the code [`NormalCode::Oct`] and not [`NormalCode::Smith`]. Only where there are such normals.
+    pub const OCT_NORMALS: u32 = 2;
+
+    /// The code of the normals in the records.
+    pub const fn normal_code(&self) -> NormalCode {
+        if self.flags & Self::OCT_NORMALS != 0 { NormalCode::Oct } else { NormalCode::Smith }
+    }
 }
 
 /// Checks what the first [`HEADER_LEN`] bytes of a file of `length` bytes claim: signature, version and length. Refuses most of what

@@ -27,4 +27,5 @@ pub use records::{
     SideUv, Texture, Wrap,
 };
 pub use rules::MAX_TEXTURE_SIDE;
+pub use tessera_quantize::NormalCode;
 pub use view::{MeshView, Pack, PackId, SharedBytes};

@@ -7,7 +7,7 @@ use crate::records::{Material, NO_TEXTURE, Wrap};
 use rayon::prelude::*;
 use tessera_geometry::DVec3;
 use tessera_quantize::normal::direction;
-use tessera_quantize::uv::{UvPlan, WrapRule};
+use tessera_quantize::uv::{UvBits, UvPlan, WrapRule};
 use tessera_quantize::{Grid, clean, is_collinear};
 
 /// Drops unusable triangles, then vertices that no triangle uses. Returns the original ids of the triangles that are left.
@@ -143,6 +143,7 @@ pub(crate) fn plan_vertices(
     input: &mut PackInput,
     ids: &[u32],
     material_runs: &Runs,
+    bits: UvBits,
     stats: &mut PackStats,
 ) -> Result<UvPlan, BuildError> {
     if input.uvs.is_empty() {
@@ -153,7 +154,7 @@ pub(crate) fn plan_vertices(
         let run = material_runs.partition_point(|r| r[0] as usize <= id) - 1;
         rules[material_runs[run][1] as usize]
     };
-    let plan = UvPlan::choose(&input.uvs, &mut input.triangles, rule_of).map_err(|e| {
+    let plan = UvPlan::choose(&input.uvs, &mut input.triangles, bits, rule_of).map_err(|e| {
         BuildError::Input(format!(
             "triangle {}, corner {}: texture coordinate {} is out of range (2^22 at most): it has no fraction left; mend the \
              scene or leave textures out",

@@ -1,6 +1,6 @@
 //! The sections of a pack while they are being made.
 
-use crate::build::{PackStats, Plain};
+use crate::build::{PackOptions, PackStats};
 use crate::format::{Head, Section};
 use crate::input::PackInput;
 use crate::mesh::Runs;
@@ -10,13 +10,15 @@ use rayon::prelude::*;
 use tessera_geometry::DVec3;
 use tessera_quantize::normal::direction;
 use tessera_quantize::uv::{PackedUv, UvPlan};
-use tessera_quantize::{Grid, NO_NORMAL, NormalTable, Record};
+use tessera_quantize::{Grid, NO_NORMAL, NormalCode, Record};
 
 /// The sections while they are being made.
 #[derive(Default)]
 pub(crate) struct Sections {
     pub(crate) record_words: u32,
     pub(crate) has_normals: bool,
+    /// Of the normals in the records, if any.
+    pub(crate) normal_code: Option<NormalCode>,
     pub(crate) head: Vec<Head>,
     pub(crate) narrow_cells: Vec<u32>,
     pub(crate) wide_cells: Vec<u64>,
@@ -67,17 +69,24 @@ impl Sections {
         }
     }
 
+    /// [`Head::flags`].
+    pub(crate) fn flags(&self) -> u32 {
+        let flag = |on: bool, bit: u32| if on { bit } else { 0 };
+        flag(self.has_normals, Head::HAS_NORMALS)
+            | flag(self.normal_code == Some(NormalCode::Oct), Head::OCT_NORMALS)
+    }
+
     /// The vertex sections.
     pub(crate) fn new(
         input: &PackInput,
         grid: &Grid,
         plan: &UvPlan,
-        plain: Plain,
+        options: &PackOptions,
         stats: &mut PackStats,
     ) -> Self {
+        let PackOptions { plain, normal_code, .. } = *options;
         let mut out = Self::default();
         let sources = || plan.source.par_iter().map(|&v| v as usize);
-        let table = NormalTable::get();
         let frame = grid.frame();
 
         // Plain sections.
@@ -108,6 +117,7 @@ impl Sections {
         // Records of what is not plain.
         let packed_normals = out.has_normals && !plain.normals;
         let packed_uvs = has_uvs && !plain.uvs;
+        out.normal_code = packed_normals.then_some(normal_code);
         if plain.positions && !packed_normals && !packed_uvs {
             return out;
         }
@@ -121,7 +131,7 @@ impl Sections {
                 // The cells of all vertices are in the table: it was made from them, by the same function.
                 (voxel, grid.cell_index(voxel).unwrap_or_default())
             };
-            let normal = if packed_normals { table.encode(input.normals[v]) } else { NO_NORMAL };
+            let normal = if packed_normals { normal_code.encode(input.normals[v]) } else { NO_NORMAL };
             let record = Record::new(voxel, cell, normal);
             match plan.uv.get(i) {
                 Some(PackedUv::Units(uv)) if packed_uvs => record.with_uv(*uv),

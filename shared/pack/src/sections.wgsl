@@ -56,6 +56,7 @@ fn corners_of(id: u32) -> Corners {
 fn mesh_normal(vertex: u32) -> vec3<f32> {
     if PLAIN_NORMALS { return vec3_at(scene.at_normals + 3u * vertex); }
     let code = record_normal(word(scene.at_records + RECORD_WORDS * vertex + 1u));
+    if OCT_NORMALS { return oct_normal(code); }
     if code >= NORMAL_ENTRIES { return vec3<f32>(0.0); }
     return vec3_at(scene.at_normal_table + 3u * code);
 }

@@ -12,8 +12,8 @@ use rayon::prelude::*;
 use tessera_geometry::{Aabb, Vec3};
 use tessera_kdtree::TreeView;
 use tessera_kdtree::node::MAX_DEPTH;
+use tessera_quantize::NO_NORMAL;
 use tessera_quantize::grid::{MAX_CELLS, MAX_COORDINATE, MAX_INTERVALS, MIN_EXTENT, VOXELS_PER_CELL};
-use tessera_quantize::normal::{ENTRIES, NO_NORMAL};
 use tessera_quantize::uv::MAX_UV;
 
 /// Largest local coordinate: half of 8192 cells of 1024 voxels.
@@ -115,7 +115,7 @@ fn check_head(head: &Head) -> Result<(), PackError> {
     if head.tree_depth > MAX_DEPTH {
         return bad("the kd-tree is deeper than a traversal stack");
     }
-    if head.flags & !Head::HAS_NORMALS != 0 {
+    if head.flags & !(Head::HAS_NORMALS | Head::OCT_NORMALS) != 0 {
         return bad("unknown flags");
     }
     ambient_fault(&head.ambient).map_or(Ok(()), bad)
@@ -140,6 +140,9 @@ fn check_lengths(file: &File<'_>, head: &Head) -> Result<(), PackError> {
     }
     if !normals.is_empty() && head.flags & Head::HAS_NORMALS == 0 {
         return bad("normals in a mesh that is marked as having none");
+    }
+    if head.flags & Head::OCT_NORMALS != 0 && (head.flags & Head::HAS_NORMALS == 0 || !normals.is_empty()) {
+        return bad("a code for normals without normals in the records");
     }
     file.expect::<u32>(Section::Records, vertices * head.record_words as usize)?;
     Ok(())
@@ -185,8 +188,8 @@ fn check_vertices(file: &File<'_>, head: &Head, mesh: &MeshView<'_>) -> Result<(
                 Some("a cell beyond the table")
             } else if !positions.is_empty() && (record.offsets() != [0; 3] || record.cell() != 0) {
                 Some("a position in the record beside a plain one")
-            } else if code != NO_NORMAL && usize::from(code) >= ENTRIES {
-                Some("a normal code beyond the table")
+            } else if !head.normal_code().is_code(code) {
+                Some("a normal code that no encoder writes")
             } else if code != NO_NORMAL && (plain_normals || !mesh.has_normals()) {
                 Some("a normal in the record where there must be none")
             } else {

@@ -12,7 +12,8 @@ use std::sync::Arc;
 use tessera_geometry::{Aabb, LocalFrame, Vec2, Vec3};
 use tessera_kdtree::TreeView;
 use tessera_quantize::grid::{PAPER_INTERVALS, VOXELS_PER_CELL};
-use tessera_quantize::{NormalTable, Record};
+use tessera_quantize::oct::oct_normal;
+use tessera_quantize::{NormalCode, NormalTable, Record};
 
 /// BLAKE3 hash of a pack's content.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Debug)]
@@ -187,6 +188,13 @@ impl Pack {
         self.slice(Section::Environment).first().copied().unwrap_or_default()
     }
 
+    /// The code of the normals in the records; `None` when there are none, or plain ones.
+    pub fn packed_normals(&self) -> Option<NormalCode> {
+        let head = self.head();
+        let is_packed = head.flags & Head::HAS_NORMALS != 0 && self.section_bytes(Section::Normals) == 0;
+        is_packed.then(|| head.normal_code())
+    }
+
     /// Cells of the table, those that hold a vertex: 0 when positions are plain.
     pub fn cell_count(&self) -> u64 {
         self.section_bytes(Section::Cells) / cell_bytes(self.inner.head.cells) as u64
@@ -234,6 +242,8 @@ pub struct MeshView<'a> {
     plain_uvs: &'a [[f32; 2]],
     side_uvs: &'a [SideUv],
     colors: &'a [[u8; 4]],
+    normal_code: NormalCode,
+    /// Of [`NormalCode::Smith`]; otherwise empty.
     normal_table: &'static [[f32; 3]],
     srgb: &'static [f32; 256],
     has_normals: bool,
@@ -301,7 +311,11 @@ impl<'a> MeshView<'a> {
             plain_uvs: elements(section(Section::Uvs)),
             side_uvs: elements(section(Section::SideUvs)),
             colors: elements(section(Section::Colors)),
-            normal_table: NormalTable::get().entries(),
+            normal_code: head.normal_code(),
+            normal_table: match head.normal_code() {
+                NormalCode::Smith => NormalTable::get().entries(),
+                NormalCode::Oct => &[],
+            },
             srgb: srgb8_to_linear_table(),
             has_normals: head.flags & Head::HAS_NORMALS != 0,
             has_uvs: head.record_words == 3 || !section(Section::Uvs).is_empty(),
@@ -344,7 +358,11 @@ impl<'a> MeshView<'a> {
         }
         if self.plain_normals.is_empty() {
             let code = self.record(vertex).normal();
-            return self.normal_table.get(usize::from(code)).map(|&n| Vec3::from_array(n));
+            let normal = match self.normal_code {
+                NormalCode::Smith => self.normal_table.get(usize::from(code)).copied(),
+                NormalCode::Oct => oct_normal(code),
+            };
+            return normal.map(Vec3::from_array);
         }
         let normal = Vec3::from_array(self.plain_normals[vertex as usize]);
         (normal != Vec3::ZERO).then_some(normal)

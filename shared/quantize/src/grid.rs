@@ -8,6 +8,8 @@ use tessera_geometry::LocalFrame;
 
 /// Voxels along a cell's side.
 pub const VOXELS_PER_CELL: u32 = LocalFrame::VOXELS_PER_CELL;
+/// Bits of a voxel's place inside its cell, along an axis.
+pub const POSITION_BITS: u32 = VOXELS_PER_CELL.ilog2();
 /// Cells that a 16-bit index can name.
 pub const MAX_CELLS: usize = 1 << 16;
 /// Coarsest grid tried; 32^3 = 32,768 cells always fit the index.
@@ -38,6 +40,9 @@ pub enum GridError {
     /// More intervals than [`MAX_INTERVALS`] or fewer than [`MIN_INTERVALS`] were asked for.
     #[error("a grid of {0} intervals was asked for; 32 to 8192 are possible")]
     Intervals(u32),
+    /// More bits of a place inside a cell than [`POSITION_BITS`], or none, were asked for.
+    #[error("positions of {0} bits an axis inside a cell were asked for; 1 to 10 are possible")]
+    PositionBits(u32),
 }
 
 /// A grid and its cell table.
@@ -53,6 +58,8 @@ pub struct Grid {
     pub cells: Cell,
     /// Occupied cells, ascending by (x, y, z); a vertex names one by its place here.
     pub table: Vec<Cell>,
+    /// Bits of a place inside a cell that are used, along an axis, in 1..=10: see [`Grid::voxel`].
+    pub position_bits: u32,
 }
 
 impl Grid {
@@ -102,19 +109,44 @@ impl Grid {
             intervals: low,
             cells: layout.cells(low),
             table,
+            position_bits: POSITION_BITS,
         })
     }
 
+    /// The same grid with coarser places inside its cells: `bits` along an axis.
+    pub fn with_position_bits(self, bits: u32) -> Result<Self, GridError> {
+        if !(1..=POSITION_BITS).contains(&bits) {
+            return Err(GridError::PositionBits(bits));
+        }
+        Ok(Self { position_bits: bits, ..self })
+    }
+
     /// Grid and local space.
+    ///
+    /// Where places inside cells are coarser than a voxel, the space lies half a voxel below the grid: the middle of an even number of
+    /// voxels is the border between two of them, and decoding takes the centre of the upper one.
     pub fn frame(&self) -> LocalFrame {
-        LocalFrame::of_grid(self.anchor, self.step, self.cells)
+        let shift = if self.voxels_per_place() > 1 { self.step / 2.0 } else { 0.0 };
+        // No pack has an anchor beyond the largest coordinate: a mesh that reaches it is half a voxel off.
+        let anchor = self.anchor.map(|x| (x - shift).max(-MAX_COORDINATE));
+        LocalFrame::of_grid(anchor, self.step, self.cells)
     }
 
     /// The voxel that holds `position` (finite). Cells and voxels are half open: a point on an inner border belongs to the
     /// higher one. Along each axis the result depends on that coordinate alone and never decreases with it, so equal
     /// coordinates stay equal and flat walls stay flat; `|decoded - x| <= step / 2` up to one rounding of the quotient.
+    ///
+    /// With fewer [`Grid::position_bits`] `b` than 10, a place is `2^(10 - b)` voxels wide and the upper of the two voxels in its middle stands for
+    /// all of them: the bound is `2^(10 - b) step / 2` in the space of [`Grid::frame`], up to that rounding and one of its anchor.
     pub fn voxel(&self, position: [f64; 3]) -> Voxel {
-        voxel(position, self.anchor, self.step, self.cells)
+        let width = self.voxels_per_place();
+        // Cells are whole places wide: the cell stays the one that was counted.
+        voxel(position, self.anchor, self.step, self.cells).map(|u| u / width * width + width / 2)
+    }
+
+    /// Width of a place inside a cell, a power of two.
+    fn voxels_per_place(&self) -> u32 {
+        VOXELS_PER_CELL >> self.position_bits
     }
 
     /// Place in the table of the cell that holds `voxel`; `None` when that cell holds no vertex.

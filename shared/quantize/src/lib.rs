@@ -4,20 +4,21 @@
 //!
 //! - [`mod@clean`]: which triangles of an input can be used at all.
 //! - [`grid`]: cubic cells over the box, as fine as 65,536 vertex-occupied cells allow; positions as cell and offset.
-//! - [`normal`]: the 16-bit normal table of Smith, Petrova, Schaefer 2012.
-//! - [`uv`]: 1 + 15 bits a component, whole-number shifts, vertex splits.
+//! - [`normal`]: the 16-bit normal table of Smith, Petrova, Schaefer 2012; [`oct`]: the code without a table.
+//! - [`uv`]: 1 + 15 bits a component (or fewer), whole-number shifts, vertex splits.
 //! - [`vertex`]: the bits of a record.
 //! - [`sizes`]: the paper's size formulas.
 
 pub mod clean;
 pub mod grid;
 pub mod normal;
+pub mod oct;
 pub mod sizes;
 pub mod uv;
 pub mod vertex;
 
 pub use clean::{Cleaned, clean};
 pub use grid::{Cell, Grid, GridError, Voxel, is_collinear};
-pub use normal::{NO_NORMAL, NormalTable};
-pub use uv::{UvError, UvPlan, WrapRule};
+pub use normal::{NO_NORMAL, NormalCode, NormalTable};
+pub use uv::{UvBits, UvError, UvPlan, WrapRule};
 pub use vertex::{Record, WORDS_MAX};

@@ -1,5 +1,5 @@
-//! 16-bit normals: the optimised spherical grid of Smith, Petrova, Schaefer 2012 ("Encoding normal vectors using optimized
-//! spherical coordinates", Computers & Graphics 36).
+//! 16-bit normals: [`NormalCode`], and the optimised spherical grid of Smith, Petrova, Schaefer 2012 ("Encoding normal vectors using
+//! optimized spherical coordinates", Computers & Graphics 36). The other code is in [`crate::oct`].
 //!
 //! 227 rings at equal polar steps around the z axis, each with its own number of equally spaced azimuths, chosen so that no
 //! direction is farther than `BOUND_RADIANS` = 0.0098165 from an entry. Two departures from the paper:
@@ -9,6 +9,7 @@
 //!
 //! 65,534 entries, 786,408 bytes, a constant function of nothing: the table is built once per process and never stored.
 
+use crate::oct;
 use std::f64::consts::PI;
 use std::sync::OnceLock;
 
@@ -27,6 +28,50 @@ const EQUATOR: usize = RINGS / 2;
 const EQUATOR_ENTRIES: usize = 456;
 /// Polar step between rings.
 const RING_STEP: f64 = PI / (RINGS - 1) as f64;
+
+/// How a shading normal is kept in 16 bits. Under both [`NO_NORMAL`] means that there is none, and the six axes are exact.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum NormalCode {
+    /// [`NormalTable`]: 65,534 directions spread evenly; whoever decodes needs a table of 768 KiB.
+    #[default]
+    Smith,
+    /// [`crate::oct`]: an octahedral lattice of 255 x 255; decoded by a root and three quotients.
+    Oct,
+}
+
+impl NormalCode {
+    /// For people and reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Smith => "smith",
+            Self::Oct => "oct",
+        }
+    }
+
+    /// Largest angle in radians between a direction and what its code decodes to: 0.5625 degrees (Smith), 0.6380 degrees (Oct).
+    pub const fn bound_radians(self) -> f64 {
+        match self {
+            Self::Smith => BOUND_RADIANS,
+            Self::Oct => oct::BOUND_RADIANS,
+        }
+    }
+
+    /// Code of `normal` (any length); [`NO_NORMAL`] when it has no [`direction`].
+    pub fn encode(self, normal: [f32; 3]) -> u16 {
+        match self {
+            Self::Smith => NormalTable::get().encode(normal),
+            Self::Oct => oct::encode(normal),
+        }
+    }
+
+    /// Whether an encoder may write `code`.
+    pub fn is_code(self, code: u16) -> bool {
+        match self {
+            Self::Smith => code == NO_NORMAL || usize::from(code) < ENTRIES,
+            Self::Oct => oct::is_code(code),
+        }
+    }
+}
 
 /// The table of unit vectors.
 #[derive(Debug)]
@@ -132,7 +177,7 @@ fn ring_entries(ring: usize) -> usize {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     #[test]
@@ -178,12 +223,7 @@ mod tests {
         let mut worst = 0.0f64;
         let mut sum = 0.0;
         const DIRECTIONS: u32 = 200_000;
-        // A Fibonacci spiral covers the sphere evenly; the golden angle never repeats an azimuth.
-        for i in 0..DIRECTIONS {
-            let z = 1.0 - (2.0 * f64::from(i) + 1.0) / f64::from(DIRECTIONS);
-            let azimuth = f64::from(i) * 2.399_963_229_728_653;
-            let r = (1.0 - z * z).sqrt();
-            let n = [r * libm::cos(azimuth), r * libm::sin(azimuth), z].map(|c| c as f32);
+        for (i, n) in spiral(DIRECTIONS).enumerate() {
             let angle = angle(n, table.decode(table.encode(n)).expect("a direction has a code"));
             worst = worst.max(angle);
             sum += angle;
@@ -210,12 +250,22 @@ mod tests {
         assert_ne!(table.encode([f32::from_bits(1), 0.0, 0.0]), NO_NORMAL);
     }
 
+    /// Directions that cover the sphere evenly: a Fibonacci spiral, whose golden angle never repeats an azimuth.
+    pub(crate) fn spiral(count: u32) -> impl Iterator<Item = [f32; 3]> {
+        (0..count).map(move |i| {
+            let z = 1.0 - (2.0 * f64::from(i) + 1.0) / f64::from(count);
+            let azimuth = f64::from(i) * 2.399_963_229_728_653;
+            let r = (1.0 - z * z).sqrt();
+            [r * libm::cos(azimuth), r * libm::sin(azimuth), z].map(|c| c as f32)
+        })
+    }
+
     fn dot(a: [f32; 3], b: [f32; 3]) -> f64 {
         (0..3).map(|k| f64::from(a[k]) * f64::from(b[k])).sum()
     }
 
     /// Angle from the cross product: an arc cosine near 1 would lose half the digits.
-    fn angle(a: [f32; 3], b: [f32; 3]) -> f64 {
+    pub(crate) fn angle(a: [f32; 3], b: [f32; 3]) -> f64 {
         let [a, b] = [a, b].map(|v| v.map(f64::from));
         let c = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
         let sine = (c[0] * c[0] + c[1] * c[1] + c[2] * c[2]).sqrt();

@@ -1,7 +1,8 @@
 //! Texture coordinates as 1 + 15 bits a component, whole-number shifts, and the vertex splits that shifts cost.
 //!
 //! A packed component is `round(32768 x)` for x in [0, 2]: the error is at most 2^-16, and 2^-15 at the upper end, where 2 itself
-//! does not fit. A texture that repeats looks the same when a whole number is taken off all three corners of a triangle, so
+//! does not fit. With fewer [`UvBits`], `1 + b` of them, it is rounded to a multiple of 2^-b when it is packed; then the error is at most
+//! 2^-(b + 1), and 2^-b at the upper end. What is decoded, and how, stays the same. A texture that repeats looks the same when a whole number is taken off all three corners of a triangle, so
 //! most triangles can be moved into that range (Seo, Park, Ihm 2022, section 3.1). Which shifts are allowed depends on the
 //! triangle's extent and on how its textures go on outside [0, 1): see [`WrapRule`].
 //!
@@ -12,8 +13,42 @@
 /// Largest texture coordinate accepted: beyond it an `f32` keeps only the first bit of the fraction.
 pub const MAX_UV: f32 = 4_194_304.0;
 
-/// Largest value that packs with an error of at most 2^-16: 65,535.5 units.
-const PACKED_MAX: f64 = 2.0 - 1.0 / 65_536.0;
+/// Bits that a packed component uses: one before the point and up to 15 behind it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UvBits(u32);
+
+impl UvBits {
+    /// All that there are: 16.
+    pub const ALL: Self = Self(16);
+
+    /// `bits` in 1..=16, otherwise `None`.
+    pub fn new(bits: u32) -> Option<Self> {
+        (1..=Self::ALL.0).contains(&bits).then_some(Self(bits))
+    }
+
+    /// How many.
+    pub const fn bits(self) -> u32 {
+        self.0
+    }
+
+    /// Units of 2^-15 between neighbouring values.
+    const fn step(self) -> u32 {
+        1 << (Self::ALL.0 - self.0)
+    }
+
+    /// Largest value that packs with an error of half a step: with all bits 65,535.5 units.
+    fn packed_max(self) -> f64 {
+        2.0 - f64::from(self.step()) / 65_536.0
+    }
+
+    /// `x` in [0, 2], rounded to a step, in units of 2^-15; 2 becomes the largest value, 65,535 with all bits.
+    fn pack(self, x: f64) -> u16 {
+        let step = self.step();
+        // `as` saturates at both ends.
+        let steps = (x * 32_768.0 / f64::from(step)).round() as u32;
+        (steps.min(65_536 / step - 1) * step) as u16
+    }
+}
 
 /// Which whole-number shifts keep the look of a texture along one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -40,7 +75,7 @@ pub struct UvError {
 /// How one packed vertex keeps its texture coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PackedUv {
-    /// In units of 2^-15, the shift taken off.
+    /// In units of 2^-15, the shift taken off, rounded to the bits that are used.
     Units([u16; 2]),
     /// As they are, in the side table.
     Side,
@@ -81,13 +116,14 @@ impl UvPlan {
         Self { source, ..Self::default() }
     }
 
-    /// Chooses shifts and splits for `triangles` over vertices with the (finite) coordinates `uvs`; `triangles` then name packed
-    /// vertices. `rule` gives the rule along s and t of a triangle, or `None` when its surface reads no texture.
+    /// Chooses shifts and splits for `triangles` over vertices with the (finite) coordinates `uvs`, of which `bits` are kept; `triangles` then
+    /// name packed vertices. `rule` gives the rule along s and t of a triangle, or `None` when its surface reads no texture.
     ///
     /// Panics when a triangle names a vertex beyond `uvs`.
     pub fn choose(
         uvs: &[[f32; 2]],
         triangles: &mut [[u32; 3]],
+        bits: UvBits,
         rule: impl Fn(usize) -> Option<[WrapRule; 2]>,
     ) -> Result<Self, UvError> {
         let mut variants = Variants::new(uvs.len());
@@ -100,7 +136,7 @@ impl UvPlan {
             if let Some((corner, value)) = out_of_range(&corners) {
                 return Err(UvError { triangle: id, corner, value });
             }
-            if allowed_shifts(&corners, rule).is_some() {
+            if allowed_shifts(&corners, rule, bits).is_some() {
                 narrow[id] = true;
             } else {
                 *triangle = triangle.map(|v| variants.side(v));
@@ -117,7 +153,7 @@ impl UvPlan {
                 continue;
             }
             let corners = triangle.map(|v| uvs[v as usize]);
-            let shifts = rule(id).and_then(|r| allowed_shifts(&corners, r));
+            let shifts = rule(id).and_then(|r| allowed_shifts(&corners, r, bits));
             // Always there: `narrow` was set by the same call.
             let Some(shifts) = shifts else { continue };
             *triangle = variants.join(*triangle, shifts);
@@ -128,7 +164,7 @@ impl UvPlan {
                 *triangle = triangle.map(|v| variants.any(v));
             }
         }
-        Ok(variants.finish(uvs, triangles, side_triangles))
+        Ok(variants.finish(uvs, triangles, bits, side_triangles))
     }
 }
 
@@ -138,10 +174,10 @@ fn out_of_range(corners: &[[f32; 2]; 3]) -> Option<(usize, f32)> {
 }
 
 /// Shifts along s and t under which a triangle packs; `None` when there are none.
-fn allowed_shifts(corners: &[[f32; 2]; 3], rule: [WrapRule; 2]) -> Option<[Shifts; 2]> {
+fn allowed_shifts(corners: &[[f32; 2]; 3], rule: [WrapRule; 2], bits: UvBits) -> Option<[Shifts; 2]> {
     let axis = |k: usize| {
         let [a, b, c] = corners.map(|uv| uv[k]);
-        Shifts::allowed(f64::from(a.min(b).min(c)), f64::from(a.max(b).max(c)), rule[k])
+        Shifts::allowed(f64::from(a.min(b).min(c)), f64::from(a.max(b).max(c)), rule[k], bits)
     };
     Some([axis(0)?, axis(1)?])
 }
@@ -155,16 +191,16 @@ struct Shifts {
 }
 
 impl Shifts {
-    /// Shifts h with `low - h >= 0` and `high - h` no more than packs within 2^-16; when there is none, the one shift for which
-    /// `high - h <= 2` packs within 2^-15. `|low|, |high| <= MAX_UV`.
-    fn allowed(low: f64, high: f64, rule: WrapRule) -> Option<Self> {
+    /// Shifts h with `low - h >= 0` and `high - h` no more than packs within half a step; when there is none, the one shift for which
+    /// `high - h <= 2` packs within a step. `|low|, |high| <= MAX_UV`.
+    fn allowed(low: f64, high: f64, rule: WrapRule, bits: UvBits) -> Option<Self> {
         if rule == WrapRule::Fixed {
             return (low >= 0.0 && high <= 2.0).then_some(Self { low: 0, high: 0, even: false });
         }
         let even = rule == WrapRule::Even;
         let greatest = low.floor() as i32;
         let greatest = if even { greatest & !1 } else { greatest };
-        let least = (high - PACKED_MAX).ceil() as i32;
+        let least = (high - bits.packed_max()).ceil() as i32;
         match Self::new(least, greatest, even) {
             None if high - f64::from(greatest) <= 2.0 => Some(Self { low: greatest, high: greatest, even }),
             shifts => shifts,
@@ -304,7 +340,13 @@ impl Variants {
     }
 
     /// Numbers the copies by input vertex, then by age, and fixes their shifts.
-    fn finish(mut self, uvs: &[[f32; 2]], triangles: &mut [[u32; 3]], side_triangles: u64) -> UvPlan {
+    fn finish(
+        mut self,
+        uvs: &[[f32; 2]],
+        triangles: &mut [[u32; 3]],
+        bits: UvBits,
+        side_triangles: u64,
+    ) -> UvPlan {
         let count = self.parent.len();
         let mut plan = UvPlan {
             source: Vec::with_capacity(count),
@@ -326,7 +368,7 @@ impl Variants {
                     match self.shifts[root as usize] {
                         UNBOUND => PackedUv::Unread,
                         shifts => PackedUv::Units(
-                            [0, 1].map(|k| pack(f64::from(uv[k]) - f64::from(shifts[k].choice()))),
+                            [0, 1].map(|k| bits.pack(f64::from(uv[k]) - f64::from(shifts[k].choice()))),
                         ),
                     }
                 };
@@ -341,10 +383,4 @@ impl Variants {
         }
         plan
     }
-}
-
-/// `x` in [0, 2] in units of 2^-15; 2 becomes 65,535.
-fn pack(x: f64) -> u16 {
-    // `as` saturates at both ends.
-    (x * 32_768.0).round() as u16
 }

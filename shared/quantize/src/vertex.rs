@@ -8,7 +8,7 @@
 //! | | 30 | texture coordinates are in the side table; `w2` is 0 |
 //! | | 31 | 0 |
 //! | `w1` | 0..=15 | place of the cell in the cell table |
-//! | | 16..=31 | normal code, [`crate::NO_NORMAL`] for none |
+//! | | 16..=31 | normal code of either [`crate::NormalCode`], [`crate::NO_NORMAL`] for none |
 //! | `w2` | 0..=15, 16..=31 | texture coordinates s and t, units of 2^-15 |
 //!
 //! Worked example: cell 5, offsets (1, 2, 1023), normal code 0x1234, (s, t) = (0.5, 1.25) with the shift taken off:

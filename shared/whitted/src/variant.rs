@@ -88,6 +88,7 @@ impl Variant {
             wide_cells,
             record_words,
             plain_normals,
+            oct_normals,
             plain_uvs,
             has_side_uvs,
         } = self.layout;
@@ -96,6 +97,7 @@ impl Variant {
             ("PLAIN_POSITIONS", plain_positions),
             ("WIDE_CELLS", wide_cells),
             ("PLAIN_NORMALS", plain_normals),
+            ("OCT_NORMALS", oct_normals),
             ("PLAIN_UVS", plain_uvs),
             ("HAS_SIDE_UVS", has_side_uvs),
             ("HAS_REFS", self.refs),

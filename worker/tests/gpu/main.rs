@@ -47,6 +47,7 @@ impl Subject {
             plain: Plain { positions: plain, ..Plain::default() },
             tree: BuildOptions { max_refs, tau_tests: 0.0, ..BuildOptions::default() },
             max_intervals,
+            ..PackOptions::default()
         };
         let (pack, _) = build_pack(input, &options).expect("a pack");
         assert_eq!(Variant::of(&pack).refs, max_refs > 0);

@@ -73,6 +73,7 @@ struct SectionBytes {
 
 pub fn run(args: PackArgs, progress: &Progress) -> Result<(), CommandError> {
     let threads = args.threads.unwrap_or_else(cores);
+    args.packing.check_alone()?;
     let options = args.packing.options();
     let (packed, _) = {
         let _bar = progress.step("packing");

@@ -4,9 +4,9 @@ use crate::support::everything;
 use std::ops::Range;
 use tessera_geometry::{Ray, Vec3};
 use tessera_pack::format::Section;
-use tessera_pack::{NO_TEXTURE, Pack, PackError, PackOptions, Plain, build_pack};
+use tessera_pack::{NO_TEXTURE, NormalCode, Pack, PackError, PackOptions, Plain, build_pack};
 
-/// Four packs that have every section between them.
+/// Five packs that have every section and every flag between them.
 fn packs() -> Vec<Pack> {
     let plain = [
         Plain::default(),
@@ -14,12 +14,14 @@ fn packs() -> Vec<Pack> {
         Plain { positions: true, normals: false, uvs: false },
     ];
     // The coarse grid has narrow cells, the fine one wide ones.
-    [(plain[0], 64), (plain[0], 8192), (plain[1], 64), (plain[2], 64)]
-        .map(|(plain, max_intervals)| {
-            let options = PackOptions { plain, max_intervals, ..PackOptions::default() };
-            build_pack(everything(8), &options).expect("a sound scene").0
-        })
-        .into()
+    let smith = [(plain[0], 64), (plain[0], 8192), (plain[1], 64), (plain[2], 64)]
+        .map(|(plain, max_intervals)| PackOptions { plain, max_intervals, ..PackOptions::default() });
+    let oct = PackOptions { normal_code: NormalCode::Oct, max_intervals: 64, ..PackOptions::default() };
+    smith
+        .into_iter()
+        .chain([oct])
+        .map(|options| build_pack(everything(8), &options).expect("a sound scene").0)
+        .collect()
 }
 
 /// Makes the content hash right again.
@@ -181,7 +183,7 @@ fn refusal(pack: &Pack, section: &str, offset: usize, new: &[u8]) -> String {
 #[test]
 fn refusals_name_section_place_and_rule() {
     let all = packs();
-    let (narrow, wide, plain, mixed) = (&all[0], &all[1], &all[2], &all[3]);
+    let (narrow, wide, plain, mixed, oct) = (&all[0], &all[1], &all[2], &all[3], &all[4]);
     let nan = f32::NAN.to_le_bytes();
     let none = u32::MAX.to_le_bytes();
     for (pack, section, offset, new, expected) in [
@@ -197,13 +199,18 @@ fn refusals_name_section_place_and_rule() {
         (narrow, "head", 64, &nan, "the root box"),
         (narrow, "kdslot", 4, &(1u32 << 2 | 3).to_le_bytes(), "'kdslot', byte "),
         (narrow, "head", 88, &(-1f32).to_le_bytes(), "ambient radiance"),
-        (narrow, "head", 100, &3u32.to_le_bytes(), "unknown flags"),
+        (narrow, "head", 100, &5u32.to_le_bytes(), "unknown flags"),
+        (oct, "head", 100, &7u32.to_le_bytes(), "unknown flags"),
+        (oct, "head", 100, &2u32.to_le_bytes(), "a code for normals without normals in the records"),
+        (plain, "head", 100, &3u32.to_le_bytes(), "a code for normals without normals in the records"),
         (narrow, "head", 100, &0u32.to_le_bytes(), "a normal in the record where there must be none"),
         (narrow, "cells", 4, &0u32.to_le_bytes(), "'cells', byte 4: element 1: cells do not ascend"),
         (wide, "cells", 8, &0u64.to_le_bytes(), "'cells', byte 8: element 1: cells do not ascend"),
         (narrow, "records", 12 + 3, &[0xBF], "'records', byte 12: vertex 1: reserved bits"),
         (narrow, "records", 12 + 4, &[0xFF, 0xFF], "vertex 1: a cell beyond the table"),
-        (narrow, "records", 12 + 6, &[0xFE, 0xFF], "vertex 1: a normal code beyond the table"),
+        (narrow, "records", 12 + 6, &[0xFE, 0xFF], "vertex 1: a normal code that no encoder writes"),
+        (oct, "records", 12 + 6, &[0xFE, 0xFF], "vertex 1: a normal code that no encoder writes"),
+        (oct, "records", 12 + 6, &[0xFF, 0x00], "vertex 1: a normal code that no encoder writes"),
         (mixed, "records", 12, &[1], "vertex 1: a position in the record beside a plain one"),
         (plain, "position", 16, &nan, "'position', byte 12: element 1: a coordinate out of range"),
         (plain, "position", 16, &1e9f32.to_le_bytes(), "a coordinate out of range"),

@@ -2,17 +2,27 @@
 
 use crate::support::everything;
 use tessera_geometry::DVec3;
-use tessera_pack::{ImageInput, NO_TEXTURE, Pack, PackInput, PackOptions, Plain, Wrap, build_pack};
+use tessera_pack::format::{Head, Section};
+use tessera_pack::{
+    ImageInput, NO_TEXTURE, NormalCode, Pack, PackInput, PackOptions, PackStats, Plain, Wrap, build_pack,
+};
 
 const SIDE: u32 = 24;
 
-fn pack(plain: Plain) -> (Pack, tessera_pack::PackStats) {
-    build_pack(everything(SIDE), &PackOptions { plain, ..PackOptions::default() }).expect("a sound scene")
+fn pack(plain: Plain) -> (Pack, PackStats) {
+    pack_with(&PackOptions { plain, ..PackOptions::default() })
+}
+
+fn pack_with(options: &PackOptions) -> (Pack, PackStats) {
+    build_pack(everything(SIDE), options).expect("a sound scene")
 }
 
 /// Checks `pack` against `input` triangle by triangle; the errors allowed are those of the packed form.
-fn check_geometry(pack: &Pack, input: &PackInput, plain: Plain) {
+fn check_geometry(pack: &Pack, input: &PackInput, options: &PackOptions) {
+    let PackOptions { plain, position_bits, normal_code, uv_bits, .. } = *options;
     let (mesh, frame) = (pack.mesh(), pack.frame());
+    // Voxels to a place inside a cell, and what lies between neighbouring texture coordinates.
+    let (place, uv_step) = (f64::from(1024 >> position_bits), libm::exp2(1.0 - f64::from(uv_bits)));
     for id in 0..pack.triangle_count() {
         let original = pack.original_id(id);
         let run = input.material_runs.partition_point(|r| r.0 <= original) - 1;
@@ -24,35 +34,48 @@ fn check_geometry(pack: &Pack, input: &PackInput, plain: Plain) {
             let source = source as usize;
             let world = DVec3::from_array(input.positions[source]);
             let error = (frame.to_world(mesh.position(v)) - world).abs().max_element();
-            // Half a voxel, and the rounding of one f64 sum of size 1; plain: one f32 rounding of a local coordinate.
+            // Half a place, and the roundings of two f64 sums of size 1; plain: one f32 rounding of a local coordinate.
             let bound = if plain.positions {
                 frame.step * f64::from(mesh.position(v).abs().max_element() * f32::EPSILON)
             } else {
-                frame.step * 0.5 + f64::EPSILON
+                frame.step * 0.5 * place + 2.0 * f64::EPSILON
             };
             assert!(error <= bound, "vertex {v}: {error:e} > {bound:e}");
             let expected = DVec3::from_array(input.normals[source].map(f64::from)).try_normalize();
             assert_eq!(mesh.normal(v).is_some(), expected.is_some());
             if let (Some(n), Some(e)) = (mesh.normal(v), expected) {
-                let bound = if plain.normals { 1e-6 } else { 0.009_816_5 };
+                // The sine of the angle; components are rounded to f32.
+                let coded = libm::sin(normal_code.bound_radians()) + f64::from(f32::EPSILON);
+                let bound = if plain.normals { 1e-6 } else { coded };
                 assert!(n.as_dvec3().cross(e).length() <= bound);
             }
             if textured {
                 let uv = mesh.uv(v).to_array();
                 let moved = [0, 1].map(|k| f64::from(input.uvs[source][k]) - f64::from(uv[k]));
-                let whole = moved.map(f64::round);
-                let bound = if plain.uvs { 0.0 } else { 1.0 / 32_768.0 };
-                assert!((0..2).all(|k| (moved[k] - whole[k]).abs() <= bound), "{moved:?}");
-                assert_eq!(
-                    *shift.get_or_insert(whole),
-                    whole,
-                    "the corners of triangle {id} are shifted alike"
-                );
-                if material == 2 {
-                    assert!(
-                        whole[0] % 2.0 == 0.0 && whole[1] == 0.0,
-                        "mirror shifts are even, clamp has none"
+                // Half a step, and a step for what lies above the largest value, which is a step below 2.
+                let bound = |k: usize| {
+                    let largest = f64::from(uv[k]) == 2.0 - uv_step;
+                    if plain.uvs { 0.0 } else { uv_step * if largest { 1.0 } else { 0.5 } }
+                };
+                if uv_bits >= 12 {
+                    // Steps far below 1 tell the shift.
+                    let whole = moved.map(f64::round);
+                    assert!((0..2).all(|k| (moved[k] - whole[k]).abs() <= bound(k)), "{moved:?}");
+                    assert_eq!(
+                        *shift.get_or_insert(whole),
+                        whole,
+                        "the corners of triangle {id} are shifted alike"
                     );
+                    if material == 2 {
+                        assert!(
+                            whole[0] % 2.0 == 0.0 && whole[1] == 0.0,
+                            "mirror shifts are even, clamp has none"
+                        );
+                    }
+                } else {
+                    // A coarse step may hide which shift it was: the fraction alone is held.
+                    let nearest = |k: usize| (moved[k] - moved[k].round()).abs();
+                    assert!((0..2).all(|k| nearest(k) <= bound(k)), "{moved:?}");
                 }
             }
             let [r, g, b, a] = mesh.color(v);
@@ -71,7 +94,7 @@ fn packed_and_plain_scenes_come_back_within_their_bounds() {
     {
         let plain = Plain { positions, normals, uvs };
         let (pack, stats) = pack(plain);
-        check_geometry(&pack, &everything(SIDE), plain);
+        check_geometry(&pack, &everything(SIDE), &PackOptions { plain, ..PackOptions::default() });
         assert_eq!(stats.triangles, u64::from(SIDE * SIDE * 2));
         assert!(
             stats.split_vertices > 0 && stats.side_uv_triangles > 0,
@@ -80,6 +103,65 @@ fn packed_and_plain_scenes_come_back_within_their_bounds() {
         assert_eq!(stats.vertices, u64::from((SIDE + 1) * (SIDE + 1)) + stats.split_vertices);
         let again = Pack::from_bytes(pack.bytes()).expect("its own bytes");
         assert_eq!((again.id(), again.bytes()), (pack.id(), pack.bytes()));
+    }
+}
+
+#[test]
+fn coarser_packs_come_back_within_their_bounds() {
+    let normal = PackOptions::default();
+    for options in [
+        PackOptions { max_intervals: 32, ..normal },
+        PackOptions { position_bits: 9, ..normal },
+        PackOptions { position_bits: 3, max_intervals: 64, ..normal },
+        PackOptions { normal_code: NormalCode::Oct, ..normal },
+        PackOptions { uv_bits: 12, ..normal },
+        PackOptions { uv_bits: 2, ..normal },
+        PackOptions { position_bits: 6, normal_code: NormalCode::Oct, uv_bits: 9, ..normal },
+    ] {
+        let (pack, stats) = pack_with(&options);
+        check_geometry(&pack, &everything(SIDE), &options);
+        assert_eq!(stats.triangles, u64::from(SIDE * SIDE * 2));
+        let again = Pack::from_bytes(pack.bytes()).expect("its own bytes");
+        assert_eq!((again.id(), again.bytes()), (pack.id(), pack.bytes()));
+        // Rounding costs and saves no byte of a vertex.
+        let records = |pack: &Pack| pack.section_bytes(Section::Records) / u64::from(pack.vertex_count());
+        assert_eq!(records(&pack), 12);
+    }
+}
+
+#[test]
+fn the_code_of_normals_is_a_flag_where_there_are_some_in_the_records() {
+    let normal = PackOptions::default();
+    let oct = PackOptions { normal_code: NormalCode::Oct, ..normal };
+    let (smith_pack, _) = pack_with(&normal);
+    let (oct_pack, _) = pack_with(&oct);
+    assert_eq!(smith_pack.packed_normals(), Some(NormalCode::Smith));
+    assert_eq!(oct_pack.packed_normals(), Some(NormalCode::Oct));
+    assert_eq!(smith_pack.head().flags, Head::HAS_NORMALS);
+    assert_eq!(oct_pack.head().flags, Head::HAS_NORMALS | Head::OCT_NORMALS);
+    // Without such normals the code makes no difference.
+    let plain = Plain { normals: true, ..Plain::default() };
+    let bytes = |options: &PackOptions| pack_with(options).0.bytes().to_vec();
+    assert!(bytes(&PackOptions { plain, ..normal }) == bytes(&PackOptions { plain, ..oct }));
+    let mut bare = everything(SIDE);
+    bare.normals.clear();
+    let pack = |options: &PackOptions| build_pack(bare.clone(), options).expect("a sound scene").0;
+    assert_eq!((pack(&oct).id(), pack(&oct).packed_normals()), (pack(&normal).id(), None));
+}
+
+#[test]
+fn options_out_of_range_are_refused() {
+    let normal = PackOptions::default();
+    for (options, expected) in [
+        (PackOptions { max_intervals: 31, ..normal }, "a grid of 31 intervals"),
+        (PackOptions { max_intervals: 8193, ..normal }, "32 to 8192 are possible"),
+        (PackOptions { position_bits: 0, ..normal }, "positions of 0 bits"),
+        (PackOptions { position_bits: 11, ..normal }, "1 to 10 are possible"),
+        (PackOptions { uv_bits: 0, ..normal }, "texture coordinates of 0 bits"),
+        (PackOptions { uv_bits: u32::MAX, ..normal }, "1 to 16 are possible"),
+    ] {
+        let error = build_pack(everything(2), &options).err().expect("refused").to_string();
+        assert!(error.contains(expected), "{error}");
     }
 }
 

@@ -49,6 +49,32 @@ proptest! {
     }
 
     #[test]
+    fn coarser_places_decode_within_half_of_one_and_keep_order(points in points(), bits in 1u32..=10, finest in 32u32..=8192) {
+        let grid = Grid::lay(&points, finest).and_then(|g| g.with_position_bits(bits)).expect("in range");
+        let (frame, width) = (grid.frame(), f64::from(1u32 << (10 - bits)));
+        for k in 0..3 {
+            let mut codes: Vec<_> = points.iter().map(|p| (p[k], grid.voxel(*p)[k])).collect();
+            codes.sort_by(|a, b| a.0.total_cmp(&b.0));
+            for w in codes.windows(2) {
+                prop_assert!(w[0].1 <= w[1].1);
+                prop_assert!(w[0].0 != w[1].0 || w[0].1 == w[1].1);
+            }
+        }
+        for p in &points {
+            let voxel = grid.voxel(*p);
+            prop_assert!(grid.cell_index(voxel).is_some());
+            // As many values as the bits have.
+            prop_assert!(voxel.iter().all(|u| u % (1 << (10 - bits)) == (1 << (10 - bits)) / 2));
+            // A decoder takes the voxel's centre, in the space of the frame; half a place, the roundings of a_position_decodes_within_half_a_voxel
+            // and that of an anchor below 2^10.
+            let centre = DVec3::from_array(voxel.map(|u| f64::from(u) + 0.5));
+            let decoded = frame.anchor + centre * frame.step;
+            let bound = grid.step * (0.5 * width + 2.0 * 8_388_608.0 * f64::EPSILON) + 3072.0 * f64::EPSILON;
+            prop_assert!((decoded - DVec3::from_array(*p)).abs().max_element() <= bound, "{p:?} decodes to {decoded}");
+        }
+    }
+
+    #[test]
     fn moving_and_scaling_exactly_changes_no_code(points in points(), exponent in -40i32..40) {
         // Multiples of 2^-20 up to 2^10: sums with 1e7 (< 2^24) need at most 45 bits.
         let points: Vec<_> = points.iter().map(|p| p.map(|x| (x * 1_048_576.0).round() / 1_048_576.0)).collect();
@@ -118,6 +144,18 @@ fn a_small_mesh_gets_the_finest_grid() {
     assert_eq!(Grid::lay(&points, 32).map(|g| g.intervals), Ok(32));
     assert_eq!(Grid::lay(&points, 31), Err(GridError::Intervals(31)));
     assert_eq!(Grid::lay(&points, 8193), Err(GridError::Intervals(8193)));
+    for bits in [0, 11] {
+        assert_eq!(lay(&points).with_position_bits(bits), Err(GridError::PositionBits(bits)));
+    }
+    assert_eq!(lay(&points).with_position_bits(10), Ok(lay(&points)));
+}
+
+#[test]
+fn a_grid_at_the_end_of_the_world_stays_in_it() {
+    let grid = Grid::lay(&[[-1e30; 3], [1e30, 0.0, 0.0]], 32)
+        .and_then(|g| g.with_position_bits(4))
+        .expect("in range");
+    assert_eq!(grid.frame().anchor, DVec3::splat(-1e30));
 }
 
 /// `count` points with whole coordinates, 64 x 32 to a layer: 65,536 of them fill 32 layers.

@@ -1,5 +1,5 @@
 use proptest::prelude::*;
-use tessera_quantize::uv::{MAX_UV, PackedUv, UvPlan, WrapRule};
+use tessera_quantize::uv::{MAX_UV, PackedUv, UvBits, UvPlan, WrapRule};
 
 const REPEAT: Option<[WrapRule; 2]> = Some([WrapRule::Any; 2]);
 const MIRROR: Option<[WrapRule; 2]> = Some([WrapRule::Even; 2]);
@@ -7,7 +7,7 @@ const CLAMP: Option<[WrapRule; 2]> = Some([WrapRule::Fixed; 2]);
 
 fn choose(uvs: &[[f32; 2]], triangles: &[[u32; 3]], rule: Option<[WrapRule; 2]>) -> (UvPlan, Vec<[u32; 3]>) {
     let mut packed = triangles.to_vec();
-    let plan = UvPlan::choose(uvs, &mut packed, |_| rule).expect("coordinates in range");
+    let plan = UvPlan::choose(uvs, &mut packed, UvBits::ALL, |_| rule).expect("coordinates in range");
     (plan, packed)
 }
 
@@ -22,36 +22,57 @@ fn decoded(plan: &UvPlan, uvs: &[[f32; 2]], v: u32) -> [f64; 2] {
 /// Checks all that a renderer relies on: right sources, one whole-number shift a triangle and axis that the rule allows, bounded
 /// error, and nothing unused.
 fn check(uvs: &[[f32; 2]], triangles: &[[u32; 3]], rules: &[Option<[WrapRule; 2]>]) -> UvPlan {
+    check_bits(uvs, triangles, rules, 16)
+}
+
+/// The same with so many bits a component.
+fn check_bits(
+    uvs: &[[f32; 2]],
+    triangles: &[[u32; 3]],
+    rules: &[Option<[WrapRule; 2]>],
+    bits: u32,
+) -> UvPlan {
     let mut packed = triangles.to_vec();
-    let plan = UvPlan::choose(uvs, &mut packed, |i| rules[i]).expect("coordinates in range");
+    let kept = UvBits::new(bits).expect("1 to 16 bits");
+    let plan = UvPlan::choose(uvs, &mut packed, kept, |i| rules[i]).expect("coordinates in range");
+    // All but one bit are behind the point.
+    let step = libm::exp2(1.0 - f64::from(bits));
     assert!(plan.source.is_sorted());
     assert_eq!(plan.source.len(), plan.uv.len());
     let mut used = vec![false; plan.source.len()];
     for ((packed, triangle), rule) in packed.iter().zip(triangles).zip(rules) {
-        let mut shifts = Vec::new();
+        let mut corners = Vec::new();
         for (&v, &source) in packed.iter().zip(triangle) {
             used[v as usize] = true;
             assert_eq!(plan.source[v as usize], source);
             let (is, was) = (decoded(&plan, uvs, v), uvs[source as usize].map(f64::from));
             if rule.is_some() {
-                let shift = [0, 1].map(|k| (was[k] - is[k]).round());
-                // 2^-16, and 2^-15 for a 2 that became 2 - 2^-15.
-                let bound =
-                    |k: usize| if is[k] == 65_535.0 / 32_768.0 { 1.0 / 32_768.0 } else { 1.0 / 65_536.0 };
-                assert!(
-                    (0..2).all(|k| (was[k] - is[k] - shift[k]).abs() <= bound(k)),
-                    "{was:?} became {is:?}"
-                );
-                shifts.push(shift);
+                if let PackedUv::Units(units) = plan.uv[v as usize] {
+                    assert!(units.iter().all(|&unit| u32::from(unit) % (1 << (16 - bits)) == 0));
+                }
+                corners.push((was, is));
             }
         }
-        assert!(shifts.windows(2).all(|w| w[0] == w[1]), "one triangle, one shift: {shifts:?}");
-        for (rule, shift) in rule.iter().flatten().zip(shifts.first().into_iter().flatten()) {
-            match rule {
-                WrapRule::Any => {}
-                WrapRule::Even => assert_eq!(shift % 2.0, 0.0),
-                WrapRule::Fixed => assert_eq!(*shift, 0.0),
-            }
+        // Half a step, and a step for what lies above the largest value, which is a step below 2.
+        let fits = |k: usize, shift: f64| {
+            corners.iter().all(|(was, is)| {
+                let bound = if is[k] == 2.0 - step { step } else { step / 2.0 };
+                (was[k] - is[k] - shift).abs() <= bound
+            })
+        };
+        for (k, rule) in rule.iter().flatten().enumerate() {
+            // One shift moves all three corners: that of the first, up to its rounding.
+            let Some((was, is)) = corners.first() else { continue };
+            let near = (was[k] - is[k]).round();
+            let shift = [near, near - 1.0, near + 1.0].into_iter().find(|&shift| {
+                let is_allowed = match rule {
+                    WrapRule::Any => true,
+                    WrapRule::Even => shift % 2.0 == 0.0,
+                    WrapRule::Fixed => shift == 0.0,
+                };
+                is_allowed && fits(k, shift)
+            });
+            assert!(shift.is_some(), "one triangle, one shift that {rule:?} allows: {corners:?}");
         }
     }
     assert!(used.iter().all(|&u| u), "no packed vertex without a triangle");
@@ -69,11 +90,13 @@ proptest! {
             -3.0..3.0f32, -40.0..40.0f32, -1e6..1e6f32, (-4i32..5).prop_map(|i| i as f32), Just(-1e-9f32), Just(-0.0f32)
         ]), 3..20),
         corners in prop::collection::vec((0usize..1000, 0usize..1000, 0usize..1000, 0usize..4), 1..40),
+        bits in 1u32..=16,
     ) {
         let pick = |i: usize| (i % uvs.len()) as u32;
         let triangles: Vec<_> = corners.iter().map(|&(a, b, c, _)| [pick(a), pick(b), pick(c)]).collect();
         let rules: Vec<_> = corners.iter().map(|c| [REPEAT, MIRROR, CLAMP, None][c.3]).collect();
         check(&uvs, &triangles, &rules);
+        check_bits(&uvs, &triangles, &rules, bits);
     }
 }
 
@@ -160,7 +183,8 @@ fn a_vertex_never_has_more_than_nine_copies_that_pack() {
 #[test]
 fn coordinates_without_a_fraction_are_refused() {
     let uvs = [[0.0, 0.0], [1.0, MAX_UV * 2.0], [0.0, 1.0]];
-    let error = UvPlan::choose(&uvs, &mut [[2, 0, 2], [0, 1, 2]], |_| REPEAT).expect_err("2^23 is too much");
+    let error = UvPlan::choose(&uvs, &mut [[2, 0, 2], [0, 1, 2]], UvBits::ALL, |_| REPEAT)
+        .expect_err("2^23 is too much");
     assert_eq!((error.triangle, error.corner, error.value), (1, 1, MAX_UV * 2.0));
     let (plan, _) = choose(&[[MAX_UV, -MAX_UV], [MAX_UV, -MAX_UV], [MAX_UV, -MAX_UV]], &[[0, 1, 2]], REPEAT);
     assert_eq!(plan.uv[0], PackedUv::Units([0, 0]));
@@ -171,4 +195,23 @@ fn without_coordinates_unused_vertices_go() {
     let mut triangles = [[7, 2, 4], [4, 2, 7]];
     let plan = UvPlan::without_uvs(9, &mut triangles);
     assert_eq!((plan.source, plan.uv, triangles), (vec![2, 4, 7], vec![], [[2, 0, 1], [1, 0, 2]]));
+}
+
+#[test]
+fn fewer_bits_are_coarser_steps() {
+    assert_eq!((UvBits::new(0), UvBits::new(17), UvBits::new(16)), (None, None, Some(UvBits::ALL)));
+    let uvs = [[0.0, 0.24], [0.26, 1.0], [1.9, 2.0]];
+    let units = |bits: u32| -> Vec<u16> {
+        let kept = UvBits::new(bits).expect("1 to 16 bits");
+        let plan = UvPlan::choose(&uvs, &mut [[0, 1, 2]], kept, |_| CLAMP).expect("in range");
+        plan.uv
+            .iter()
+            .flat_map(|uv| if let PackedUv::Units(q) = uv { *q } else { panic!("{uv:?}") })
+            .collect()
+    };
+    let scaled = |values: [f64; 6]| -> Vec<u16> { values.map(|v| (v * 32_768.0) as u16).into() };
+    // Halves, and whole numbers alone; the largest value is one step below 2.
+    assert_eq!(units(2), scaled([0.0, 0.0, 0.5, 1.0, 1.5, 1.5]));
+    assert_eq!(units(1), scaled([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]));
+    assert_eq!(units(3), scaled([0.0, 0.25, 0.25, 1.0, 1.75, 1.75]));
 }

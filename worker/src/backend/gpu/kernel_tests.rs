@@ -21,7 +21,7 @@ const WHOLE: Chunks = Chunks { slot_bindings: 1, slots_log2: 31, word_bindings: 
 const SPLIT: Chunks = Chunks { slot_bindings: 3, slots_log2: 20, word_bindings: 5, words_log2: 27 };
 
 /// Number of switches of a variant.
-const SWITCHES: usize = 15;
+const SWITCHES: usize = 16;
 
 /// All switches on or off but for number `odd`, if there is one of that number.
 fn variant(on: bool, odd: usize) -> Variant {
@@ -33,6 +33,7 @@ fn variant(on: bool, odd: usize) -> Variant {
             wide_cells: next(),
             record_words: [0, 2, 3][odd % 3],
             plain_normals: next(),
+            oct_normals: next(),
             plain_uvs: next(),
             has_side_uvs: next(),
         },

@@ -142,11 +142,13 @@ fn the_constants_of_a_variant_are_its_fields() {
         let flag = |name: &str| word(name) == 1;
         let v = key.variant;
         assert_eq!(
-            ["PLAIN_POSITIONS", "WIDE_CELLS", "PLAIN_NORMALS", "PLAIN_UVS", "HAS_SIDE_UVS"].map(flag),
+            ["PLAIN_POSITIONS", "WIDE_CELLS", "PLAIN_NORMALS", "OCT_NORMALS", "PLAIN_UVS", "HAS_SIDE_UVS"]
+                .map(flag),
             [
                 v.layout.plain_positions,
                 v.layout.wide_cells,
                 v.layout.plain_normals,
+                v.layout.oct_normals,
                 v.layout.plain_uvs,
                 v.layout.has_side_uvs
             ]

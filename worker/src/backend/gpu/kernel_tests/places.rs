@@ -9,6 +9,7 @@ use std::mem::offset_of;
 use tessera_kdtree::node::Node;
 use tessera_pack::{Light, Material, SideUv, Texture};
 use tessera_quantize::Record;
+use tessera_quantize::oct::oct_point;
 use tessera_whitted::PixelFormat;
 use tessera_whitted::device::{encode_rgba16, words_per_pixel};
 use tessera_whitted::twins::{frame_word, layouts};
@@ -133,6 +134,15 @@ fn bits_of_nodes_and_vertices_are_those_of_rust() {
         assert_eq!(ask("record_normal", Value::U(b)), [record.normal().into()]);
         assert_eq!(ask("record_has_side_uv", Value::U(a)), [record.has_side_uv().into()]);
         assert_eq!(ask("record_uv", Value::U(a)), record.uv().map(f32::to_bits));
+    }
+}
+
+#[test]
+fn points_of_the_octahedron_are_those_of_rust() {
+    let module = parse(&whole());
+    for code in 0..=u16::MAX {
+        let point = machine(&module).call("oct_point", vec![Value::U(code.into())]).words();
+        assert_eq!(point, oct_point(code).map(i32::cast_unsigned), "{code:#06x}");
     }
 }
 
