@@ -211,8 +211,8 @@ figcaption{color:var(--quiet);font-size:.875rem;margin-top:6px}\
 figcaption b{color:var(--text)}\
 table{border-collapse:collapse;font-size:.875rem;font-variant-numeric:tabular-nums}\
 th,td{padding:5px 12px;border-bottom:1px solid var(--line);text-align:left;vertical-align:top}\
-thead th{border-bottom-width:2px}\
-.n{text-align:right;white-space:nowrap}\
+thead th{border-bottom-width:2px;vertical-align:bottom}\
+.n{text-align:right}td.n{white-space:nowrap}\
 ul{padding-left:20px}\
 pre{background:var(--box);border:1px solid var(--line);border-radius:6px;padding:10px 12px;overflow-x:auto;margin:6px 0}\
 code{font:.875rem/1.5 ui-monospace,'DejaVu Sans Mono',Menlo,Consolas,monospace}";
