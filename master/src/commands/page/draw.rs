@@ -22,6 +22,8 @@ const LEGEND_RIGHT_MAX: f64 = 215.0;
 /// A legend names no more series than this; it says how many follow.
 const LEGEND_ENTRIES_MAX: usize = 48;
 const MARKER_RADIUS: f64 = 4.5;
+/// Of the points of a front, around markers.
+const RING_RADIUS: f64 = 7.5;
 /// Labels tried; where so many stand there is no room for more.
 const LABELS_MAX: usize = 200;
 
@@ -226,9 +228,7 @@ impl<'a> Layout<'a> {
             match series.line {
                 // A line needs two points to be seen.
                 Line::Dashed if self.shown[k].len() > 1 => {}
-                Line::Stepped => {
-                    canvas.circle(shown.place, MARKER_RADIUS + 3.0, None, Stroke::plain(ink, 1.8))
-                }
+                Line::Stepped => canvas.circle(shown.place, RING_RADIUS, None, Stroke::plain(ink, 1.8)),
                 _ => draw_marker(canvas, shown.place, k),
             }
             canvas.end();
@@ -238,8 +238,11 @@ impl<'a> Layout<'a> {
     /// Labels stand beside their points where they cover nothing.
     fn draw_labels(&self, canvas: &mut dyn Canvas) {
         let points = || self.shown.iter().flatten();
-        let radius = MARKER_RADIUS + 1.0;
-        let mut taken: Vec<_> = points().map(|shown| Rect::around(shown.place, radius, radius)).collect();
+        let mut taken = Vec::new();
+        for (series, shown) in self.plot.series.iter().zip(&self.shown) {
+            let radius = if series.line == Line::Stepped { RING_RADIUS } else { MARKER_RADIUS } + 1.0;
+            taken.extend(shown.iter().map(|shown| Rect::around(shown.place, radius, radius)));
+        }
         let bars = points().flat_map(|shown| shown.bars());
         let lines = (0..self.shown.len()).map(|k| self.line_places(k));
         let mut segments = Vec::new();
@@ -275,7 +278,7 @@ impl<'a> Layout<'a> {
                     Line::Dashed => {}
                     Line::Stepped => canvas.circle(
                         (x + 16.0, y),
-                        MARKER_RADIUS + 2.0,
+                        RING_RADIUS - 1.0,
                         Some(Ink::Paper),
                         Stroke::plain(ink, 1.8),
                     ),
