@@ -98,7 +98,7 @@ impl Page {
             section.write(out)?;
         }
         if !self.caveats.is_empty() {
-            write_list(out, "What to keep in mind", &self.caveats, |text| escape(text))?;
+            write_list(out, "What to keep in mind", &self.caveats, escape)?;
         }
         if !self.commands.is_empty() {
             write_list(out, "Measure it again", &self.commands, |text| {
