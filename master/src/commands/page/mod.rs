@@ -98,12 +98,14 @@ impl Page {
             section.write(out)?;
         }
         if !self.caveats.is_empty() {
-            write_list(out, "What to keep in mind", &self.caveats, escape)?;
+            writeln!(out, "<section>\n<h2>What to keep in mind</h2>\n<ul>")?;
+            self.caveats.iter().try_for_each(|text| writeln!(out, "<li>{}</li>", escape(text)))?;
+            writeln!(out, "</ul>\n</section>")?;
         }
         if !self.commands.is_empty() {
-            write_list(out, "Measure it again", &self.commands, |text| {
-                format!("<pre tabindex=\"0\"><code>{}</code></pre>", escape(text))
-            })?;
+            let commands = escape(&self.commands.join("\n"));
+            writeln!(out, "<section>\n<h2>Measure it again</h2>")?;
+            writeln!(out, "<pre tabindex=\"0\"><code>{commands}</code></pre>\n</section>")?;
         }
         if !self.machine.is_empty() {
             writeln!(out, "<section>\n<h2>Measured on</h2>\n<div class=\"wide\" tabindex=\"0\"><table>")?;
@@ -162,17 +164,6 @@ impl Table {
 
 fn write_paragraphs(out: &mut String, paragraphs: &[String]) -> std::fmt::Result {
     paragraphs.iter().try_for_each(|text| writeln!(out, "<p>{}</p>", escape(text)))
-}
-
-fn write_list(
-    out: &mut String,
-    title: &str,
-    items: &[String],
-    item: impl Fn(&str) -> String,
-) -> std::fmt::Result {
-    writeln!(out, "<section>\n<h2>{title}</h2>\n<ul>")?;
-    items.iter().try_for_each(|text| writeln!(out, "<li>{}</li>", item(text)))?;
-    writeln!(out, "</ul>\n</section>")
 }
 
 /// RFC 4648, section 4.
