@@ -223,10 +223,13 @@ mod tests {
     #[test]
     fn scrambling_keeps_common_first_bits() {
         for seed in (0..50).map(|i| pixel_seed(3, i, i)) {
-            for (a, b) in (0..200u32).map(|i| (pcg(i), pcg(i ^ 0x5555))).chain([(0, 1), (6, 7), (0, u32::MAX)]) {
+            for (a, b) in
+                (0..200u32).map(|i| (pcg(i), pcg(i ^ 0x5555))).chain([(0, 1), (6, 7), (0, u32::MAX)])
+            {
                 for common in 0..32 {
                     // The first bits lie lowest.
-                    let b = (a ^ 1 << common) & ((2u32 << common).wrapping_sub(1)) | b & !(2u32 << common).wrapping_sub(1);
+                    let b = (a ^ 1 << common) & ((2u32 << common).wrapping_sub(1))
+                        | b & !(2u32 << common).wrapping_sub(1);
                     let apart = scramble(a, seed) ^ scramble(b, seed);
                     assert_eq!(apart.trailing_zeros(), common, "{a:x}, {b:x}");
                 }
@@ -268,9 +271,13 @@ mod tests {
             let at = |index, frame, x, y| sampler.offset_in_pixel(index, 16, pixel_seed(frame, x, y));
             let base = at(3, 1, 10, 20);
             assert_eq!(base, at(3, 1, 10, 20));
-            for other in
-                [at(4, 1, 10, 20), at(3, 2, 10, 20), at(3, 1 << 32 | 1, 10, 20), at(3, 1, 11, 20), at(3, 1, 20, 10)]
-            {
+            for other in [
+                at(4, 1, 10, 20),
+                at(3, 2, 10, 20),
+                at(3, 1 << 32 | 1, 10, 20),
+                at(3, 1, 11, 20),
+                at(3, 1, 20, 10),
+            ] {
                 assert_ne!(base, other);
             }
         }

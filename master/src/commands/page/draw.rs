@@ -22,6 +22,8 @@ const LEGEND_RIGHT_MAX: f64 = 215.0;
 /// A legend names no more series than this; it says how many follow.
 const LEGEND_ENTRIES_MAX: usize = 48;
 const MARKER_RADIUS: f64 = 4.5;
+/// Of the points of a front, around markers.
+const RING_RADIUS: f64 = 7.5;
 /// Labels tried; where so many stand there is no room for more.
 const LABELS_MAX: usize = 200;
 
@@ -50,10 +52,14 @@ struct Shown<'a> {
     along: Option<[(f64, bool); 2]>,
 }
 
-/// Where the names of the series stand.
+/// Names of the series, and what is left for the plot.
 struct Legend {
-    /// Left end of the sample and base line of the name, of each.
+    /// Left end of the sample and base line of the name, and the name.
     entries: Vec<(Place, String)>,
+    /// Where the area of the points ends.
+    area_right: f64,
+    /// Of the whole.
+    height: f64,
 }
 
 impl<'a> Layout<'a> {
@@ -68,55 +74,30 @@ impl<'a> Layout<'a> {
         let note = left_out(plot);
         let below_area = 52.0 + if note.is_some() { 20.0 } else { 0.0 };
 
-        // The legend stands at the right if its names are short and few, else below.
-        let names = legend_names(plot);
-        let widest = names.iter().map(|name| width(name, TEXT_SIZE)).fold(0.0, f64::max);
         let top = MARGIN + if plot.title.is_empty() { 0.0 } else { 34.0 };
-        let lines_at_right = ((HEIGHT - MARGIN - below_area - top) / LEGEND_LINE) as usize;
-        let is_at_right = widest <= LEGEND_RIGHT_MAX && names.len() <= lines_at_right;
-        let right = if is_at_right && !names.is_empty() {
-            WIDTH - MARGIN - widest - LEGEND_INDENT - 18.0
-        } else {
-            WIDTH - MARGIN - 10.0
-        };
-        let area = Rect { left, top, right, bottom: HEIGHT - MARGIN - below_area };
-        let column =
-            if is_at_right { WIDTH } else { (widest + LEGEND_INDENT + 24.0).min(WIDTH - 2.0 * MARGIN) };
-        let columns = if is_at_right { 1 } else { (((WIDTH - 2.0 * MARGIN) / column) as usize).max(1) };
-        let start = if is_at_right { (right + 18.0, top + 12.0) } else { (MARGIN, HEIGHT - MARGIN + 8.0) };
-        let lines = names.len().div_ceil(columns);
-        let entry = |(k, name): (usize, String)| {
-            // Down the columns, as one reads a list.
-            let (column_of, line) = (k / lines, k % lines);
-            let place = (start.0 + column_of as f64 * column, start.1 + line as f64 * LEGEND_LINE);
-            (place, shortened(&name, TEXT_SIZE, WIDTH - 2.0 * MARGIN - LEGEND_INDENT))
-        };
-        let legend = Legend { entries: names.into_iter().enumerate().map(entry).collect() };
-        let height = if is_at_right { HEIGHT } else { HEIGHT + lines as f64 * LEGEND_LINE + 8.0 };
+        let bottom = HEIGHT - MARGIN - below_area;
+        let legend = Legend::new(legend_names(plot), top, bottom);
+        let area = Rect { left, top, right: legend.area_right, bottom };
 
         let x_ticks = x.ticks(((area.right - area.left) / 90.0) as usize);
+        let shown = Vec::new();
         let mut layout = Self {
             plot,
             width: WIDTH,
-            height,
+            height: legend.height,
             area,
             x,
             y,
             x_ticks,
             y_ticks,
-            shown: Vec::new(),
+            shown,
             legend,
             note,
         };
-        let shown = |series: &'a Series| {
-            series
-                .points
-                .iter()
-                .filter(|point| is_shown(plot, point))
-                .map(|point| layout.shown(point))
-                .collect()
-        };
-        layout.shown = plot.series.iter().map(shown).collect();
+        for series in &plot.series {
+            let shown = series.points.iter().filter(|point| is_shown(plot, point));
+            layout.shown.push(shown.map(|point| layout.shown(point)).collect());
+        }
         layout
     }
 
@@ -200,9 +181,11 @@ impl<'a> Layout<'a> {
         let half = width(&label, TEXT_SIZE) / 2.0;
         let middle = ((left + right) / 2.0).clamp(MARGIN + half, (WIDTH - MARGIN - half).max(MARGIN + half));
         text_at(canvas, &label, (middle, bottom + 43.0), TEXT_SIZE, Ink::Text, Anchor::Middle);
-        let label = shortened(&self.plot.y.label, TEXT_SIZE, HEIGHT - 2.0 * MARGIN);
+        // Not up to the title, and not down to what stands below the x label.
+        let (upper, lower) = (top, bottom + 30.0);
+        let label = shortened(&self.plot.y.label, TEXT_SIZE, lower - upper);
         let half = width(&label, TEXT_SIZE) / 2.0;
-        let middle = ((top + bottom) / 2.0).clamp(MARGIN + half, (HEIGHT - MARGIN - half).max(MARGIN + half));
+        let middle = ((top + bottom) / 2.0).clamp(upper + half, (lower - half).max(upper + half));
         canvas.text(&Text {
             is_upright: true,
             ..plain_text(&label, (MARGIN + 8.0, middle), TEXT_SIZE, Ink::Text, Anchor::Middle)
@@ -245,9 +228,7 @@ impl<'a> Layout<'a> {
             match series.line {
                 // A line needs two points to be seen.
                 Line::Dashed if self.shown[k].len() > 1 => {}
-                Line::Stepped => {
-                    canvas.circle(shown.place, MARKER_RADIUS + 3.0, None, Stroke::plain(ink, 1.8))
-                }
+                Line::Stepped => canvas.circle(shown.place, RING_RADIUS, None, Stroke::plain(ink, 1.8)),
                 _ => draw_marker(canvas, shown.place, k),
             }
             canvas.end();
@@ -257,8 +238,11 @@ impl<'a> Layout<'a> {
     /// Labels stand beside their points where they cover nothing.
     fn draw_labels(&self, canvas: &mut dyn Canvas) {
         let points = || self.shown.iter().flatten();
-        let radius = MARKER_RADIUS + 1.0;
-        let mut taken: Vec<_> = points().map(|shown| Rect::around(shown.place, radius, radius)).collect();
+        let mut taken = Vec::new();
+        for (series, shown) in self.plot.series.iter().zip(&self.shown) {
+            let radius = if series.line == Line::Stepped { RING_RADIUS } else { MARKER_RADIUS } + 1.0;
+            taken.extend(shown.iter().map(|shown| Rect::around(shown.place, radius, radius)));
+        }
         let bars = points().flat_map(|shown| shown.bars());
         let lines = (0..self.shown.len()).map(|k| self.line_places(k));
         let mut segments = Vec::new();
@@ -268,9 +252,11 @@ impl<'a> Layout<'a> {
         let labelled = points().filter(|shown| !shown.point.label.is_empty());
         for shown in labelled.take(LABELS_MAX) {
             let size = (width(&shown.point.label, SMALL_SIZE), 0.75 * SMALL_SIZE);
-            if let Some(rect) =
-                labels::room_for(size, shown.place, MARKER_RADIUS + 4.0, &self.area, &taken, &segments)
-            {
+            // Beside it, or a little further off where its own error bars are in the way.
+            let room = [MARKER_RADIUS + 4.0, MARKER_RADIUS + 10.0].into_iter().find_map(|distance| {
+                labels::room_for(size, shown.place, distance, &self.area, &taken, &segments)
+            });
+            if let Some(rect) = room {
                 let place = (rect.left, rect.bottom);
                 text_at(canvas, &shown.point.label, place, SMALL_SIZE, Ink::Quiet, Anchor::Start);
                 taken.push(rect);
@@ -292,7 +278,7 @@ impl<'a> Layout<'a> {
                     Line::Dashed => {}
                     Line::Stepped => canvas.circle(
                         (x + 16.0, y),
-                        MARKER_RADIUS + 2.0,
+                        RING_RADIUS - 1.0,
                         Some(Ink::Paper),
                         Stroke::plain(ink, 1.8),
                     ),
@@ -328,6 +314,29 @@ impl<'a> Layout<'a> {
             across: across.map(|ends| ends.map(|(part, has_cap)| (self.x_at(part), has_cap))),
             along: along.map(|ends| ends.map(|(part, has_cap)| (self.y_at(part), has_cap))),
         }
+    }
+}
+
+impl Legend {
+    /// At the right of an area from `top` to `bottom` if the names are short and few enough, else in columns below everything.
+    fn new(names: Vec<String>, top: f64, bottom: f64) -> Self {
+        const GAP: f64 = 18.0;
+        const ALL: f64 = WIDTH - 2.0 * MARGIN;
+        let widest = names.iter().map(|name| width(name, TEXT_SIZE)).fold(0.0, f64::max);
+        let is_at_right = widest <= LEGEND_RIGHT_MAX && names.len() as f64 * LEGEND_LINE <= bottom - top;
+        let column = (LEGEND_INDENT + widest + GAP).min(ALL);
+        let (area_right, start, columns) = match is_at_right && !names.is_empty() {
+            true => (WIDTH - MARGIN - column, (WIDTH - MARGIN - column + GAP, top + 12.0), 1),
+            false => (WIDTH - MARGIN - 10.0, (MARGIN, HEIGHT + 4.0), ((ALL / column) as usize).max(1)),
+        };
+        // Down the columns, as one reads a list.
+        let lines = names.len().div_ceil(columns);
+        let entry = |(k, name): (usize, String)| {
+            let place = (start.0 + (k / lines) as f64 * column, start.1 + (k % lines) as f64 * LEGEND_LINE);
+            (place, shortened(&name, TEXT_SIZE, ALL - LEGEND_INDENT))
+        };
+        let height = if is_at_right { HEIGHT } else { HEIGHT + lines as f64 * LEGEND_LINE };
+        Self { entries: names.into_iter().enumerate().map(entry).collect(), area_right, height }
     }
 }
 

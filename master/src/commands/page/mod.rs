@@ -98,12 +98,14 @@ impl Page {
             section.write(out)?;
         }
         if !self.caveats.is_empty() {
-            write_list(out, "What to keep in mind", &self.caveats, |text| escape(text))?;
+            writeln!(out, "<section>\n<h2>What to keep in mind</h2>\n<ul>")?;
+            self.caveats.iter().try_for_each(|text| writeln!(out, "<li>{}</li>", escape(text)))?;
+            writeln!(out, "</ul>\n</section>")?;
         }
         if !self.commands.is_empty() {
-            write_list(out, "Measure it again", &self.commands, |text| {
-                format!("<pre tabindex=\"0\"><code>{}</code></pre>", escape(text))
-            })?;
+            let commands = escape(&self.commands.join("\n"));
+            writeln!(out, "<section>\n<h2>Measure it again</h2>")?;
+            writeln!(out, "<pre tabindex=\"0\"><code>{commands}</code></pre>\n</section>")?;
         }
         if !self.machine.is_empty() {
             writeln!(out, "<section>\n<h2>Measured on</h2>\n<div class=\"wide\" tabindex=\"0\"><table>")?;
@@ -164,17 +166,6 @@ fn write_paragraphs(out: &mut String, paragraphs: &[String]) -> std::fmt::Result
     paragraphs.iter().try_for_each(|text| writeln!(out, "<p>{}</p>", escape(text)))
 }
 
-fn write_list(
-    out: &mut String,
-    title: &str,
-    items: &[String],
-    item: impl Fn(&str) -> String,
-) -> std::fmt::Result {
-    writeln!(out, "<section>\n<h2>{title}</h2>\n<ul>")?;
-    items.iter().try_for_each(|text| writeln!(out, "<li>{}</li>", item(text)))?;
-    writeln!(out, "</ul>\n</section>")
-}
-
 /// RFC 4648, section 4.
 fn base64(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
@@ -211,8 +202,8 @@ figcaption{color:var(--quiet);font-size:.875rem;margin-top:6px}\
 figcaption b{color:var(--text)}\
 table{border-collapse:collapse;font-size:.875rem;font-variant-numeric:tabular-nums}\
 th,td{padding:5px 12px;border-bottom:1px solid var(--line);text-align:left;vertical-align:top}\
-thead th{border-bottom-width:2px}\
-.n{text-align:right;white-space:nowrap}\
+thead th{border-bottom-width:2px;vertical-align:bottom}\
+.n{text-align:right}td.n{white-space:nowrap}\
 ul{padding-left:20px}\
 pre{background:var(--box);border:1px solid var(--line);border-radius:6px;padding:10px 12px;overflow-x:auto;margin:6px 0}\
 code{font:.875rem/1.5 ui-monospace,'DejaVu Sans Mono',Menlo,Consolas,monospace}";

@@ -111,8 +111,8 @@ impl Canvas for Svg {
         let class = edge.ink.class();
         match fill {
             Some(fill) => self.put(format_args!("<circle class=\"f{} k{class}\"", fill.class())),
-            // A ring answers a pointer that is inside it.
-            None => self.put(format_args!("<circle class=\"k{class}\" fill=\"none\" pointer-events=\"all\"")),
+            // Inside a ring a pointer finds what lies behind it.
+            None => self.put(format_args!("<circle class=\"k{class}\" fill=\"none\"")),
         }
         self.put(format_args!(" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\""));
         self.stroke(edge);
