@@ -47,6 +47,14 @@ fn wrong_usage_is_exit_code_2_and_one_line() {
     check(&render(&["--tile", "1", "--size", "2000x2000"]), &["tiles", "choose larger tiles"]);
     check(&render(&["--spp", "0"]), &["--spp"]);
     check(&render(&["--depth", "33"]), &["--depth"]);
+    check(&render(&["--sampler", "halton"]), &["--sampler", "jittered, low-discrepancy"]);
+    for bad in ["-0.5", "1.5", "nan", "1/512"] {
+        check(&render(&["--cutoff", bad]), &["--cutoff", "a weight of 0 to 1"]);
+    }
+    for bad in ["0", "-1", "2", "nan", "fine"] {
+        check(&render(&["--adaptive", bad]), &["--adaptive", "more than 0 and at most 1"]);
+    }
+    check(&render(&["--adaptive", "0.1", "--tile", "100"]), &["tile side 100", "a multiple of 16"]);
     check(&render(&["--bits", "12"]), &["--bits"]);
     check(&render(&["--refs", "3"]), &["--refs"]);
     check(&render(&["--refs-when", "0.5,2"]), &["--refs-when", "two shares of 0 to 1"]);
@@ -312,6 +320,10 @@ fn reports_are_one_json_object_with_the_promised_keys() {
             "tile",
             "balance",
             "spp",
+            "sampler",
+            "cutoff",
+            "adaptive",
+            "mean_samples",
             "workers",
             "ms.pack",
             "ms.send_scene",
@@ -332,6 +344,8 @@ fn reports_are_one_json_object_with_the_promised_keys() {
     );
     assert_eq!(render["size"], serde_json::json!([20, 10]));
     assert_eq!(render["rays"]["primary"], 200);
+    assert_eq!((&render["sampler"], &render["mean_samples"]), (&"jittered".into(), &1.0.into()));
+    assert_eq!((&render["cutoff"], &render["adaptive"]), (&0.001_953_125.into(), &serde_json::Value::Null));
     assert_eq!(render["balance"], "dynamic");
     let report: serde_json::Value =
         serde_json::from_slice(&fs::read(folder.file("report.json")).unwrap()).unwrap();

@@ -4,13 +4,17 @@
 use crate::support::Folder;
 use std::sync::{Arc, Mutex};
 use tessera_geometry::{LocalCamera, Vec3};
+use tessera_kdtree::Kernel;
 use tessera_master::coordinator::BeginError;
 use tessera_master::{
     Balance, Cluster, ClusterConfig, FrameJob, FrameResult, Link, LoadError, LocalWorkers, PixelFormat,
     RenderError, StartError, Workers,
 };
 use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
-use tessera_wire::{Features, FrameError, LocalTicket, PackRefusal, Refusal};
+use tessera_wire::{
+    Adaptive, Features, FrameError, FrameId, LocalTicket, PackRefusal, Refusal, Sampler, Sampling,
+};
+use tessera_worker::gpu::probe::cpu_frame;
 use tessera_worker::{
     Backend, BackendChoice, BackendConfig, JoinError, NUMERIC_CLASS, PackCache, Stop, WorkerConfig,
     WorkerError, WorkerPipes,
@@ -200,6 +204,67 @@ async fn processes_that_do_not_become_workers_are_named() {
     let failed = Cluster::start(Workers::Local(missing), ClusterConfig::default()).await.err();
     let message = failed.expect("there is none").to_string();
     assert!(message.starts_with("cannot start worker process `no/such/program`"), "{message}");
+}
+
+/// Blocks of pixels get as many samples as they need, whoever renders them and in whatever tiles: as the plain renderer does with one thread.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn adaptive_pictures_depend_on_neither_tiles_nor_workers() {
+    let pack = pack();
+    let (workers, _served) = in_memory(3);
+    let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("they join");
+    cluster.load(&pack, |_| ()).await.expect("they take the pack");
+    for (sampler, format) in [(Sampler::Jittered, PixelFormat::Layers), (Sampler::LowDiscrepancy, PixelFormat::Rgba8)] {
+        let sampling = Sampling { sampler, adaptive: Some(Adaptive { error: 0.02 }), ..Sampling::default() };
+        let whole = FrameJob { samples: 64, sampling, format, tile: 160, ..job(&pack, Balance::Dynamic) };
+        let frame = whole.to_wire(FrameId(1), tessera_wire::PackId(pack.id().0));
+        let (pixels, rays) = plain(&pack, &frame);
+        let (area, layers) = (150 * 100, format == PixelFormat::Layers);
+        let taken = rays.primary - if layers { area } else { 0 };
+        assert!(taken > 16 * area && taken < 40 * area, "{taken} samples: edges have more than the rest");
+        assert_eq!(cpu_frame(&pack, Kernel::default(), &frame), (pixels.clone(), rays), "with several threads");
+        for (tile, balance) in [(16, Balance::PaperStatic), (48, Balance::Static), (160, Balance::Dynamic)] {
+            let result = cluster.render(&FrameJob { tile, balance, ..whole.clone() }, |_| ()).await.expect("a picture");
+            assert!(result.image.data() == pixels, "{balance}, tiles of {tile}");
+            assert_eq!(result.rays, rays, "{balance}, tiles of {tile}");
+        }
+        let cut = cluster.render(&FrameJob { tile: 40, ..whole }, |_| ()).await;
+        let refused = FrameError::TileBlocks(40);
+        assert!(matches!(cut, Err(RenderError::Job(BeginError::Job(e))) if e == refused));
+    }
+    cluster.stop().await;
+}
+
+/// A frame by one call of the renderer.
+fn plain(pack: &Pack, frame: &tessera_wire::Frame) -> (Vec<u8>, tessera_wire::Rays) {
+    let sampling = tessera_whitted::Sampling {
+        sampler: match frame.sampling.sampler {
+            Sampler::Jittered => tessera_whitted::Sampler::Jittered,
+            Sampler::LowDiscrepancy => tessera_whitted::Sampler::LowDiscrepancy,
+        },
+        cutoff: frame.sampling.cutoff,
+        adaptive: frame.sampling.adaptive.map(|a| tessera_whitted::Adaptive { error: a.error }),
+    };
+    let [origin, forward, right, up] =
+        [frame.camera.origin, frame.camera.forward, frame.camera.right, frame.camera.up].map(Vec3::from_array);
+    let params = tessera_whitted::FrameParams {
+        camera: LocalCamera { origin, forward, right, up },
+        width: frame.width,
+        height: frame.height,
+        samples: frame.samples,
+        sampling,
+        max_depth: frame.depth,
+        frame: frame.seed,
+        features: tessera_whitted::Features::default(),
+        format: match frame.format {
+            PixelFormat::Layers => tessera_whitted::PixelFormat::Layers,
+            _ => tessera_whitted::PixelFormat::Rgba8,
+        },
+    };
+    let block = tessera_whitted::PixelBlock { x: 0, y: 0, width: frame.width, height: frame.height };
+    let mut pixels = vec![0; block.byte_len(params.format)];
+    let rays = tessera_whitted::Renderer::new(pack).render_block(&params, block, &mut pixels);
+    let tessera_whitted::RayCounts { primary, shadow, reflection, refraction } = rays;
+    (pixels, tessera_wire::Rays { primary, shadow, reflection, refraction })
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -74,7 +74,7 @@ const OWN_FUNCTIONS: &[(&str, &str, &[&str])] = &[
             "even_bits",
             "render_pixel",
             "no_sum",
-            "end_sample",
+            "sample_after",
             "sample_ray",
             "add_sample",
             "mean",

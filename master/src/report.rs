@@ -1,6 +1,6 @@
 //! What is said about a render: one JSON object, or text for people.
 
-use crate::{ClassDifference, ClassPart, FrameJob, FrameResult, ImageHash, Prepared};
+use crate::{ClassDifference, ClassPart, FrameJob, FrameResult, ImageHash, PixelFormat, Prepared};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -41,8 +41,16 @@ pub struct RenderReport {
     pub tile: u32,
     /// How tiles got to workers.
     pub balance: &'static str,
-    /// Samples a pixel.
+    /// Samples a pixel; with adaptive sampling the most that one might get.
     pub spp: u32,
+    /// Where they lie: `jittered` or `low-discrepancy`.
+    pub sampler: &'static str,
+    /// Weight in a pixel below which no ray was traced.
+    pub cutoff: f32,
+    /// The error at which a block of pixels got no more samples; null when all got `spp`.
+    pub adaptive: Option<f32>,
+    /// Samples a pixel that were taken, on the average.
+    pub mean_samples: f64,
     /// Reflections and refractions a path may take.
     pub depth: u32,
     /// Why local workers render with what they do, where one choice was made for all; each worker has its own word too.
@@ -228,6 +236,13 @@ pub struct RenderFacts<'a> {
     pub write: Duration,
 }
 
+/// Samples a pixel that so many rays from the eye are. Layers of many samples have one ray more a pixel, through its centre.
+fn mean_samples(job: &FrameJob, primary: u64) -> f64 {
+    let pixels = u64::from(job.width) * u64::from(job.height);
+    let centres = if job.format == PixelFormat::Layers && job.samples > 1 { pixels } else { 0 };
+    primary.saturating_sub(centres) as f64 / pixels as f64
+}
+
 impl RenderReport {
     /// Puts together what the parts of a render know.
     pub fn new<I>(facts: RenderFacts<'_>, result: &FrameResult<I>) -> Self {
@@ -254,6 +269,10 @@ impl RenderReport {
             tile: job.tile,
             balance: job.balance.name(),
             spp: job.samples,
+            sampler: job.sampling.sampler.name(),
+            cutoff: job.sampling.cutoff,
+            adaptive: job.sampling.adaptive.map(|adaptive| adaptive.error),
+            mean_samples: mean_samples(job, result.rays.primary),
             depth: job.depth,
             backend_note,
             kernel,
@@ -322,6 +341,11 @@ impl RenderReport {
             self.tile,
             self.balance
         )?;
+        write!(t, "sampling   {}, weights down to {}", self.sampler, self.cutoff)?;
+        match self.adaptive {
+            Some(error) => writeln!(t, ", adaptive to {error}: {:.2} samples a pixel", self.mean_samples)?,
+            None => writeln!(t)?,
+        }
         writeln!(
             t,
             "time       read {read:.0} ms, pack {pack:.0} ms, start workers {start:.0} ms, send scene {send_scene:.0} ms, \

@@ -3,12 +3,15 @@
 //! `TESSERA_GPU=require` fails without an adapter, `off` skips aloud, `allow` (the default) skips aloud where there is none.
 
 use tessera_geometry::{CameraPose, DVec3};
+use tessera_kdtree::Kernel;
 use tessera_pack::{
     Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, MaterialFlags, Pack, PackInput,
     PackOptions, build_pack,
 };
-use tessera_wire::{Camera, Frame, FrameId, PackId, PixelFormat, Rays, ReturnMode};
-use tessera_worker::gpu::probe::GpuProbe;
+use tessera_wire::{
+    Adaptive, Camera, Frame, FrameId, PackId, PixelFormat, Rays, ReturnMode, Sampler, Sampling,
+};
+use tessera_worker::gpu::probe::{GpuProbe, cpu_frame};
 use tessera_worker::gpu::{GpuOptions, TestPolicy, TraversalForm};
 
 /// A probe for each form, or none where nothing is to be tested.
@@ -104,7 +107,12 @@ fn scene() -> Pack {
 }
 
 /// A view of `scene` past everything that is in it.
-fn frame(pack: &Pack, (width, height): (u32, u32), samples: u32, format: PixelFormat) -> Frame {
+fn frame(
+    pack: &Pack,
+    (width, height): (u32, u32),
+    (samples, sampling): (u32, Sampling),
+    format: PixelFormat,
+) -> Frame {
     let pose = CameraPose {
         eye: DVec3::new(0.5, 2.0, 5.5),
         target: DVec3::new(0.0, 1.2, 0.0),
@@ -138,24 +146,33 @@ fn frame(pack: &Pack, (width, height): (u32, u32), samples: u32, format: PixelFo
 fn all_forms_render_the_same_bytes() {
     let Some(probes) = probes() else { return };
     let pack = scene();
+    let f64 = probes[0].uses_f64();
     let scenes = probes.map(|probe| probe.load(&pack).expect("a scene that fits"));
     // Tiles together in a submission; more pixels than paths are under way on a software driver; edges that cut blocks; fewer pixels
-    // than a block.
-    for (size, samples, format) in [
-        ((131, 70), 3, PixelFormat::Rgba8),
-        ((37, 21), 4, PixelFormat::Layers),
-        ((64, 40), 1, PixelFormat::Rgba16),
-        ((3, 2), 9, PixelFormat::Layers),
+    // than a block. By either sampler, with all weights, and in rounds.
+    let usual = Sampling::default();
+    let sobol = Sampling { sampler: Sampler::LowDiscrepancy, ..usual };
+    let adaptive = Some(Adaptive { error: 0.03 });
+    for (size, samples, sampling, format) in [
+        ((131, 70), 3, usual, PixelFormat::Rgba8),
+        ((37, 21), 4, sobol, PixelFormat::Layers),
+        ((64, 40), 1, Sampling { cutoff: 0.0, ..usual }, PixelFormat::Rgba16),
+        ((3, 2), 9, Sampling { cutoff: 0.2, ..usual }, PixelFormat::Layers),
+        ((60, 37), 40, Sampling { adaptive, ..sobol }, PixelFormat::Rgba8),
+        ((35, 20), 40, Sampling { adaptive, ..usual }, PixelFormat::Layers),
     ] {
-        let frame = frame(&pack, size, samples, format);
+        let frame = frame(&pack, size, (samples, sampling), format);
         let [whole, short, waves]: [(Vec<u8>, Rays); 3] =
             scenes.each_ref().map(|scene| scene.frame(&frame).expect("a frame"));
         let Rays { shadow, reflection, refraction, .. } = whole.1;
         assert!(shadow > 0 && reflection > 0 && refraction > 0, "the scene asks for every kind of ray");
-        for (name, other) in [("a short stack", short), ("waves", waves)] {
-            assert_eq!(whole.1, other.1, "{name}: rays of {size:?}, {samples} samples, {format:?}");
+        // Where all is computed in f64 that decides, the CPU's blocks end with the same rounds.
+        let cpu = f64.then(|| cpu_frame(&pack, Kernel::default(), &frame));
+        let others = [("a short stack", Some(short)), ("waves", Some(waves)), ("the CPU", cpu)];
+        for (name, other) in others.into_iter().filter_map(|(name, other)| Some((name, other?))) {
+            assert_eq!(whole.1, other.1, "{name}: rays of {size:?}, {samples} samples, {sampling:?}, {format:?}");
             let differ = whole.0.iter().zip(&other.0).filter(|(a, b)| a != b).count();
-            assert_eq!(differ, 0, "{name}: bytes of {size:?}, {samples} samples, {format:?}");
+            assert_eq!(differ, 0, "{name}: bytes of {size:?}, {samples} samples, {sampling:?}, {format:?}");
         }
     }
 }

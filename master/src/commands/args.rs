@@ -52,6 +52,20 @@ pub fn field_of_view(text: &str) -> Result<f64, String> {
         .ok_or_else(|| "write the vertical field of view in degrees, more than 0 and less than 180".into())
 }
 
+/// A weight, [0, 1].
+pub fn weight(text: &str) -> Result<f32, String> {
+    let weight: Option<f32> = text.parse().ok();
+    weight.filter(|w| (0.0..=1.0).contains(w)).ok_or_else(|| "write a weight of 0 to 1, as in 0.002".into())
+}
+
+/// An error of sRGB-coded values, (0, 1].
+pub fn coded_error(text: &str) -> Result<f32, String> {
+    let error: Option<f32> = text.parse().ok();
+    error
+        .filter(|e| *e > 0.0 && *e <= 1.0)
+        .ok_or_else(|| "write an error of more than 0 and at most 1, as in 0.004 (a step of 8 bits)".into())
+}
+
 /// A time of 1 s to 366 days: a number with s, m, h or d.
 pub fn time(text: &str) -> Result<Duration, String> {
     const SECONDS_MAX: u64 = 366 * 24 * 3600;
@@ -199,6 +213,16 @@ mod tests {
         for bad in ["", "8", "GiB", "-1B", "1.5GiB", "8GB", "99999999999TiB"] {
             assert!(byte_size(bad).is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn weights_and_errors() {
+        assert_eq!([weight("0"), weight("1"), weight("0.001953125")], [Ok(0.0), Ok(1.0), Ok(1.0 / 512.0)]);
+        assert_eq!([coded_error("1"), coded_error("4e-3")], [Ok(1.0), Ok(4e-3)]);
+        for bad in ["", "-0.1", "1.1", "nan", "inf", "x", "1/512"] {
+            assert!(weight(bad).is_err() && coded_error(bad).is_err(), "{bad}");
+        }
+        assert!(coded_error("0").is_err() && coded_error("1e-50").is_err(), "no error is as small as 0");
     }
 
     #[test]

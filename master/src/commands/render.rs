@@ -1,6 +1,6 @@
 //! `tessera render`.
 
-use super::args::{Size, Triple, field_of_view};
+use super::args::{Size, Triple, coded_error, field_of_view, weight};
 use super::backend::BackendArgs;
 use super::progress::Progress;
 use super::run::{Crew, LocalCrew, Session, Written, prepare_scene};
@@ -14,7 +14,7 @@ use tessera_master::prepare::{Prepared, choose_camera};
 use tessera_master::report::{CameraReport, RenderFacts, RenderReport};
 use tessera_master::{Balance, FrameJob, FrameResult, OutputFile, PixelFormat};
 use tessera_whitted::variant::Variant;
-use tessera_wire::{Features, FrameError, TileGrid, limits};
+use tessera_wire::{Adaptive, Features, FrameError, Sampler, Sampling, TileGrid, limits};
 
 /// What to render, and how.
 #[derive(Debug, Args)]
@@ -28,6 +28,7 @@ use tessera_wire::{Features, FrameError, TileGrid, limits};
         \x20 tessera render scenes/sponza.toml --out sponza.png --workers 4 --size 1920x1080 --spp 4\n\
         \x20 tessera render scenes/sponza.toml --out sponza.png --master @join.txt\n\
         \x20 tessera render room.glb --out room.exr --eye -120,20,0 --target 0,45,-5 --fov 70\n\
+        \x20 tessera render room.glb --out room.png --sampler low-discrepancy --adaptive 0.004 --spp 1024\n\
         \x20 tessera render room.glb --out flat.png --without textures,shadows --report report.json"
 )]
 pub struct RenderArgs {
@@ -61,6 +62,26 @@ pub struct FrameArgs {
     #[arg(long, value_name = "N", default_value_t = 1, help_heading = "Image")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=i64::from(limits::SAMPLES)))]
     spp: u32,
+    /// Where the samples of a pixel lie
+    ///
+    /// jittered is correlated multi-jittered (Kensler 2013); low-discrepancy is Sobol's sequence with Owen's scrambling: as good on edges,
+    /// better where a pixel is smooth, and for --adaptive.
+    #[arg(long, value_name = "NAME", default_value = Sampler::default().name(), help_heading = "Image")]
+    #[arg(value_parser = PossibleValuesParser::new(Sampler::ALL.map(Sampler::name)).map(sampler))]
+    sampler: Sampler,
+    /// Leave out rays whose weight in the pixel is below W, [0, 1]
+    ///
+    /// The default, 1/512, is below what 8 bits show. With 0 only --depth ends a path: in glass 2^depth rays a sample.
+    #[arg(long, value_name = "W", default_value_t = 1.0 / 512.0, value_parser = weight, help_heading = "Image")]
+    #[arg(allow_hyphen_values = true)]
+    cutoff: f32,
+    /// Take fewer samples than --spp where the estimated error is at most ERROR
+    ///
+    /// ERROR is the root mean square over a block of 16x16 pixels, in sRGB-coded values of [0, 1]: 0.004 is a step of 8 bits. A block gets
+    /// 16 samples a pixel at least, and twice as many until it is good enough or has --spp. --tile must be a multiple of 16.
+    #[arg(long, value_name = "ERROR", value_parser = coded_error, help_heading = "Image")]
+    #[arg(allow_hyphen_values = true)]
+    adaptive: Option<f32>,
     /// Mirrors and glass that a path may meet one after the other
     #[arg(long, value_name = "N", default_value_t = 8, help_heading = "Image")]
     #[arg(value_parser = clap::value_parser!(u32).range(0..=i64::from(limits::DEPTH)))]
@@ -118,6 +139,11 @@ pub struct FrameArgs {
     json: bool,
 }
 
+/// The sampler of that name, which is one.
+fn sampler(name: String) -> Sampler {
+    Sampler::ALL.into_iter().find(|sampler| sampler.name() == name).unwrap_or_default()
+}
+
 /// Bits a channel of a PNG file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Bits {
@@ -165,6 +191,7 @@ impl<'a> Plan<'a> {
         if bytes > limits::TILE_BYTES {
             return Err(CommandError::usage(FrameError::TileBytes { bytes }));
         }
+        args.sampling().check(args.tile).map_err(CommandError::usage)?;
         let without = packing.without();
         let features = Features {
             shadows: !without.shadows,
@@ -208,7 +235,7 @@ impl<'a> Plan<'a> {
             height,
             tile: args.tile,
             samples: args.spp,
-            sampling: Default::default(),
+            sampling: args.sampling(),
             depth: args.depth,
             seed: 0,
             features: self.features,
@@ -274,6 +301,11 @@ impl FrameArgs {
             note: None,
             is_left_to_us: false,
         }
+    }
+
+    fn sampling(&self) -> Sampling {
+        let adaptive = self.adaptive.map(|error| Adaptive { error });
+        Sampling { sampler: self.sampler, cutoff: self.cutoff, adaptive }
     }
 
     /// The view that was asked for, and its name in the scene if it has one.

@@ -213,3 +213,139 @@ impl FrameParams {
         self.sampling.adaptive.filter(|_| self.samples > 1)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sample::pixel_seed;
+    use crate::sample::tests::{area, edge, inside};
+    use crate::{Adaptive, Features, Sampler, Sampling};
+    use tessera_geometry::{LocalCamera, Vec3};
+
+    fn params(width: u32, height: u32, samples: u32, error: f32) -> FrameParams {
+        let camera = LocalCamera { origin: Vec3::ZERO, forward: Vec3::Z, right: Vec3::X, up: Vec3::Y };
+        let sampling = Sampling { adaptive: Some(Adaptive { error }), ..Sampling::default() };
+        let (features, format) = (Features::default(), PixelFormat::Rgba8);
+        FrameParams { camera, width, height, samples, sampling, max_depth: 1, frame: 0, features, format }
+    }
+
+    fn block(side: u32) -> Block {
+        let rect = PixelBlock { x: 0, y: 0, width: side, height: side };
+        let sums = vec![[0.0; 4]; (side * side) as usize];
+        Block { rect, taken: 0, is_done: false, total: sums.clone(), round: sums }
+    }
+
+    #[test]
+    fn rounds_double_up_to_the_limit() {
+        let rounds = |side, samples| {
+            let mut block = block(side);
+            let mut ends = Vec::new();
+            while block.taken < samples {
+                block.taken = block.round_end(samples);
+                ends.push(block.taken);
+            }
+            ends
+        };
+        assert_eq!(rounds(16, 100), [8, 16, 32, 64, 100]);
+        assert_eq!(rounds(16, 128), [8, 16, 32, 64, 128]);
+        assert_eq!(rounds(16, 16), [16], "nothing is decided");
+        assert_eq!(rounds(16, 17), [8, 16, 17]);
+        assert_eq!(rounds(8, 200), [32, 64, 128, 200], "a quarter of a block takes four times as many");
+        assert_eq!(rounds(1, 5000), [2048, 4096, 5000]);
+    }
+
+    /// Every pixel of every block that a tile touches is asked for once a round, and a flat picture ends after the least number.
+    #[test]
+    fn a_flat_picture_takes_the_least_number_of_samples() {
+        for (x, y, width, height) in [(0, 0, 64, 41), (16, 16, 16, 16), (5, 7, 30, 3), (48, 32, 22, 9), (3, 3, 0, 4)] {
+            let rect = PixelBlock { x, y, width, height };
+            let params = params(70, 41, 1 << 14, 0.01);
+            let mut tile = AdaptiveTile::new(&params, rect).expect("adaptive");
+            let mut out = vec![7; rect.byte_len(params.format)];
+            let mut taken = std::collections::BTreeMap::new();
+            loop {
+                let work = tile.work();
+                if work.is_empty() {
+                    break;
+                }
+                for Round { rect, samples } in work {
+                    assert!(rect.x.is_multiple_of(16) && rect.y.is_multiple_of(16));
+                    assert!(rect.x + rect.width <= 70 && rect.y + rect.height <= 41);
+                    for (x, y) in (rect.y..rect.y + rect.height)
+                        .flat_map(|y| (rect.x..rect.x + rect.width).map(move |x| (x, y)))
+                    {
+                        let so_far: &mut u32 = taken.entry((x, y)).or_default();
+                        assert_eq!(*so_far, samples.start);
+                        *so_far = samples.end;
+                        tile.put(x, y, [0.5 * samples.len() as f32; 4].map(|v| v * 2.0));
+                    }
+                }
+                tile.end_round(&mut out);
+            }
+            assert!(out.iter().all(|&byte| byte == 255), "white");
+            for ((x, y), taken) in &taken {
+                let side = |at: u32, length: u32| BLOCK_SIDE.min(length - at / 16 * 16);
+                let pixels = side(*x, 70) * side(*y, 41);
+                assert_eq!(*taken, LEAST_DRAWS.div_ceil(pixels).next_power_of_two(), "{x}, {y}");
+            }
+            assert!(width == 0 || taken.len() as u32 >= width * height);
+        }
+    }
+
+    #[test]
+    fn a_tile_of_many_blocks_is_worked_off_with_few_open() {
+        let params = params(1024, 1024, 64, 0.01);
+        let rect = PixelBlock { x: 0, y: 0, width: 1024, height: 1024 };
+        let mut tile = AdaptiveTile::new(&params, rect).expect("adaptive");
+        let mut out = vec![0; rect.byte_len(params.format)];
+        let mut pixels = 0;
+        loop {
+            let work = tile.work();
+            if work.is_empty() {
+                break;
+            }
+            let now: u32 = work.iter().map(|round| round.rect.width * round.rect.height).sum();
+            assert!(now as usize <= OPEN_MAX * 256, "{now} pixels are under way");
+            pixels += now as usize * usize::from(work[0].samples.end == 16);
+            tile.end_round(&mut out);
+        }
+        assert_eq!(pixels, 1024 * 1024);
+    }
+
+    /// `E d^2 = V(n) - V(2n)`: 2^(3/2) - 1 times V(2n) on edges where the samples so far are a net, and V(2n) where they are a random choice
+    /// of many strata.
+    #[test]
+    fn the_estimate_is_that_of_theory_and_never_less_than_the_error() {
+        const HALF: u32 = 32;
+        let side = 100;
+        let pixels = side * side;
+        for (sampler, count, expected) in [
+            (Sampler::LowDiscrepancy, 2 * HALF, libm::pow(2.0, 1.5) - 1.0),
+            // Drawn without replacement: V(n) = s^2 / n (1 - n / N), so V(n) / V(2n) - 1 = N / (N - 2n).
+            (Sampler::Jittered, 4096, 4096.0 / (4096.0 - 2.0 * f64::from(HALF))),
+        ] {
+            let mut block = block(side);
+            block.taken = HALF;
+            let mut squared = 0.0;
+            for pixel in 0..pixels {
+                let seed = pixel_seed(5, pixel, 3);
+                // Alpha is judged as it is, without a curve.
+                let sum = |samples: Range<u32>| {
+                    samples
+                        .map(|i| inside(edge(pixel), sampler.offset_in_pixel(i, count, seed)))
+                        .sum::<f64>()
+                };
+                let (a, b) = (sum(0..HALF), sum(HALF..2 * HALF));
+                block.total[pixel as usize][3] = a as f32;
+                block.round[pixel as usize][3] = b as f32;
+                let error = (a + b) / f64::from(2 * HALF) - area(edge(pixel));
+                squared += error * error / f64::from(pixels);
+            }
+            let ratio = block.squared_error() / squared;
+            println!("{sampler:?}: {ratio:.3} times the squared error, theory {expected:.3}");
+            // Two means of squares of nearly normal numbers: each has a relative standard error of the root of 2 / pixels.
+            let off = 4.0 * (4.0 / f64::from(pixels)).sqrt();
+            assert!((ratio / expected - 1.0).abs() < off, "{sampler:?}: {ratio} instead of {expected}");
+        }
+    }
+}

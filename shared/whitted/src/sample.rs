@@ -79,7 +79,7 @@ fn jittered(index: u32, count: u32, seed: u32) -> Vec2 {
 }
 
 /// Sample `index` of the scrambled sequence, in units of 2^-32.
-fn low_discrepancy(index: u32, seed: u32) -> [u32; 2] {
+pub fn low_discrepancy(index: u32, seed: u32) -> [u32; 2] {
     let x = scramble(index, pcg(seed ^ 0x68bc_21eb));
     let y = scramble(second_dimension(index), pcg(seed ^ 0x02e5_be93));
     [x.reverse_bits(), y.reverse_bits()]
@@ -151,7 +151,7 @@ fn permute(index: u32, length: u32, pattern: u32) -> u32 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     const SAMPLERS: [Sampler; 2] = [Sampler::Jittered, Sampler::LowDiscrepancy];
@@ -328,17 +328,17 @@ mod tests {
     }
 
     /// The share of a pixel on one side of a line through it, another one for each pixel: exact by clipping the square.
-    fn edge(pixel: u32) -> (Vec2, f32) {
+    pub(crate) fn edge(pixel: u32) -> (Vec2, f32) {
         let angle = f64::from(pcg(pixel)) / f64::from(u32::MAX) * std::f64::consts::TAU;
         let normal = Vec2::new(libm::cos(angle) as f32, libm::sin(angle) as f32);
         (normal, normal.dot(Vec2::splat(0.5)) + 0.3 * (unit_float(pcg(!pixel)) - 0.5))
     }
 
-    fn inside((normal, offset): (Vec2, f32), p: Vec2) -> f64 {
+    pub(crate) fn inside((normal, offset): (Vec2, f32), p: Vec2) -> f64 {
         if normal.dot(p) < offset { 1.0 } else { 0.0 }
     }
 
-    fn area((normal, offset): (Vec2, f32)) -> f64 {
+    pub(crate) fn area((normal, offset): (Vec2, f32)) -> f64 {
         let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
         let (n, offset) = ([f64::from(normal.x), f64::from(normal.y)], f64::from(offset));
         let depth = |p: [f64; 2]| offset - n[0] * p[0] - n[1] * p[1];

@@ -335,7 +335,7 @@ mod tests {
             assert_eq!(check(&adaptive(error)), Err(FrameError::AdaptiveError(error)));
         }
         assert!(matches!(check(&adaptive(f32::NAN)), Err(FrameError::AdaptiveError(_))));
-        for tile in [100, 24, 2000] {
+        for tile in [100, 24, 2008] {
             let cutting = |f: &mut Frame| {
                 adaptive(0.1)(f);
                 f.tile = tile;

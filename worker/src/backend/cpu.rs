@@ -213,4 +213,22 @@ mod tests {
             assert_eq!(next, width * height);
         }
     }
+
+    #[test]
+    fn a_round_is_cut_into_tasks_that_cover_it_once() {
+        for (width, height, samples) in [(48, 16, 0..8), (37, 11, 8..16), (37, 11, 16..64), (16, 16, 64..100)] {
+            let round = Round { rect: PixelBlock { x: 32, y: 16, width, height }, samples };
+            let mut seen = std::collections::BTreeSet::new();
+            for (block, samples) in pieces(&round) {
+                assert_eq!(samples, round.samples);
+                for (x, y) in
+                    (0..block.height).flat_map(|y| (0..block.width).map(move |x| (block.x + x, block.y + y)))
+                {
+                    assert!(seen.insert((x, y)), "{x}, {y} twice");
+                }
+            }
+            assert_eq!(seen.len() as u32, width * height);
+            assert!(seen.iter().all(|&(x, y)| x - 32 < width && y - 16 < height));
+        }
+    }
 }

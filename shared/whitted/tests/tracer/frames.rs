@@ -6,7 +6,7 @@ use tessera_pack::{ImageInput, Material, MaterialFlags, Plain, Wrap};
 use tessera_whitted::{PixelBlock, PixelFormat, RayCounts, Renderer};
 
 /// A bit of everything: mirror, glass, veil, mask, textures, several lights.
-fn mixed_scene() -> Stage {
+pub fn mixed_scene() -> Stage {
     let mut stage = Stage::default();
     stage.input.textures = vec![ImageInput {
         width: 16,
@@ -34,7 +34,7 @@ fn mixed_scene() -> Stage {
     stage
 }
 
-fn mixed_view() -> View {
+pub fn mixed_view() -> View {
     look([0.3, 1.0, 7.0], [0.0, 0.0, 0.0]).sized(37, 29)
 }
 

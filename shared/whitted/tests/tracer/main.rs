@@ -1,5 +1,6 @@
 //! The tracer against optics, photometry and its own promises: small packs, exact numbers.
 
+mod adaptive;
 mod energy;
 mod frames;
 mod hard;

@@ -166,9 +166,10 @@ impl Machine<'_> {
                 _ => of(*reject),
             },
             Expression::As { expr, kind, convert } => cast(&of(*expr), *kind, convert.is_some()),
-            Expression::Math { fun: MathFunction::CountLeadingZeros, arg, .. } => match of(*arg) {
-                Value::U(v) => Value::U(v.leading_zeros()),
-                other => panic!("{other:?} is no word"),
+            Expression::Math { fun, arg, .. } => match (fun, of(*arg)) {
+                (MathFunction::CountLeadingZeros, Value::U(v)) => Value::U(v.leading_zeros()),
+                (MathFunction::ReverseBits, Value::U(v)) => Value::U(v.reverse_bits()),
+                (fun, other) => panic!("{fun:?} of {other:?}"),
             },
             constant => self.constant(constant),
         }

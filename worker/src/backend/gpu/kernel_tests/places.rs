@@ -12,6 +12,7 @@ use tessera_quantize::Record;
 use tessera_quantize::oct::oct_point;
 use tessera_whitted::PixelFormat;
 use tessera_whitted::device::{encode_rgba16, words_per_pixel};
+use tessera_whitted::sample::low_discrepancy;
 use tessera_whitted::twins::{frame_word, layouts};
 
 /// Where a record's fields lie: name, first word, words.
@@ -143,6 +144,15 @@ fn points_of_the_octahedron_are_those_of_rust() {
     for code in 0..=u16::MAX {
         let point = machine(&module).call("oct_point", vec![Value::U(code.into())]).words();
         assert_eq!(point, oct_point(code).map(i32::cast_unsigned), "{code:#06x}");
+    }
+}
+
+#[test]
+fn low_discrepancy_samples_are_those_of_rust() {
+    let module = parse(&whole());
+    for (index, seed) in WORDS.into_iter().chain(0..40).flat_map(|index| WORDS.map(|seed| (index, seed))) {
+        let at = machine(&module).call("low_discrepancy", vec![Value::U(index), Value::U(seed)]).words();
+        assert_eq!(at, low_discrepancy(index, seed), "sample {index:x} of {seed:x}");
     }
 }
 

@@ -1,0 +1,162 @@
+//! How samples are taken: adaptively, by either sampler, down to any weight.
+
+use crate::frames::{mixed_scene, mixed_view};
+use crate::support::*;
+use tessera_kdtree::Kernel;
+use tessera_pack::Plain;
+use tessera_whitted::{Adaptive, FrameParams, PixelBlock, PixelFormat, RayCounts, Renderer, Sampler, Sampling};
+
+fn adaptive(sampler: Sampler, error: f32) -> Sampling {
+    Sampling { sampler, adaptive: Some(Adaptive { error }), ..Sampling::default() }
+}
+
+/// Pixels of `block`, and rays.
+fn part(renderer: &Renderer<'_>, params: &FrameParams, block: PixelBlock) -> (Vec<u8>, RayCounts) {
+    let mut out = vec![0; block.byte_len(params.format)];
+    let counts = renderer.render_block(params, block, &mut out);
+    (out, counts)
+}
+
+#[test]
+fn a_pixel_depends_neither_on_its_tile_nor_on_the_kernel() {
+    let pack = mixed_scene().pack_with(Plain::default()).expect("a packable scene");
+    let (width, height) = (37, 45);
+    for (sampler, format) in [
+        (Sampler::Jittered, PixelFormat::Rgba8),
+        (Sampler::LowDiscrepancy, PixelFormat::Rgba16),
+        (Sampler::LowDiscrepancy, PixelFormat::Layers),
+    ] {
+        let view = View { samples: 40, sampling: adaptive(sampler, 0.03), ..mixed_view().sized(width, height) };
+        let params = view.params(&pack, format);
+        let (whole, counts) = view.bytes(&pack, format);
+        let eyes = counts.primary - if format == PixelFormat::Layers { u64::from(width * height) } else { 0 };
+        let most = u64::from(40 * width * height);
+        assert!(eyes < most && eyes > most / 4, "{eyes} of {most}: some blocks are finished early, others not");
+        // Multiples of 16 share no block; others do, and the picture is the same.
+        for (kernel, sides) in [(Kernel::Scalar, &[16][..]), (Kernel::default(), &[16, 48, 11])] {
+            let renderer = Renderer::with_kernel(&pack, kernel);
+            for &side in sides {
+                let mut sum = RayCounts::default();
+                for (x, y) in (0..height)
+                    .step_by(side as usize)
+                    .flat_map(|y| (0..width).step_by(side as usize).map(move |x| (x, y)))
+                {
+                    let block = PixelBlock { x, y, width: side.min(width - x), height: side.min(height - y) };
+                    let (bytes, rays) = part(&renderer, &params, block);
+                    sum += rays;
+                    let row_bytes = block.width as usize * format.bytes_per_pixel();
+                    for (row, bytes) in (y..).zip(bytes.chunks_exact(row_bytes)) {
+                        let at = (row * width + x) as usize * format.bytes_per_pixel();
+                        assert_eq!(bytes, &whole[at..][..row_bytes], "{format:?}, row {row} of {block:?}");
+                    }
+                }
+                assert!(side % 16 != 0 || sum == counts, "{sum:?} instead of {counts:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn few_samples_leave_nothing_to_decide() {
+    let pack = mixed_scene().pack();
+    // 16 x 16 pixels: no block is cut by the image's edge.
+    let view = mixed_view().sized(16, 16);
+    for samples in [1, 2, 16] {
+        let uniform = View { samples, ..view };
+        let open = View { sampling: adaptive(Sampler::Jittered, 1.0), ..uniform };
+        for format in [PixelFormat::Rgba8, PixelFormat::Layers] {
+            assert_eq!(open.bytes(&pack, format), uniform.bytes(&pack, format), "{samples} samples");
+        }
+    }
+}
+
+/// The coded root mean square error of each block against a picture of many samples, and the samples that were taken.
+fn errors(pack: &tessera_pack::Pack, view: &View, truth: &[Layers]) -> (Vec<f64>, f64) {
+    let code = |linear: f32| {
+        let c = f64::from(linear.clamp(0.0, 1.0));
+        if c <= 0.003_130_8 { 12.92 * c } else { 1.055 * libm::pow(c, 1.0 / 2.4) - 0.055 }
+    };
+    let (seen, counts) = view.layers(pack);
+    let (columns, rows) = (view.width / 16, view.height / 16);
+    let mut blocks = vec![0.0; (columns * rows) as usize];
+    for ((a, b), place) in seen.iter().zip(truth).zip(0u32..) {
+        let (x, y) = (place % view.width, place / view.width);
+        let worst = (0..3).map(|i| (code(a.color[i]) - code(b.color[i])).abs()).fold(0.0, f64::max);
+        let worst = worst.max(f64::from((a.alpha - b.alpha).abs()));
+        blocks[(y / 16 * columns + x / 16) as usize] += worst * worst / 256.0;
+    }
+    let taken = (counts.primary as f64) / f64::from(view.width * view.height) - 1.0;
+    (blocks.into_iter().map(f64::sqrt).collect(), taken)
+}
+
+#[test]
+fn blocks_are_as_good_as_was_asked_for() {
+    let pack = mixed_scene().pack();
+    let view = mixed_view().sized(64, 48);
+    let reference = View { samples: 1024, sampling: Sampling { sampler: Sampler::LowDiscrepancy, ..Sampling::default() }, ..view };
+    let truth = reference.layers(&pack).0;
+    for (sampler, threshold) in [(Sampler::LowDiscrepancy, 0.02), (Sampler::LowDiscrepancy, 0.01), (Sampler::Jittered, 0.02)] {
+        let sampled = View { samples: 256, sampling: adaptive(sampler, threshold), ..view };
+        let (errors, taken) = errors(&pack, &sampled, &truth);
+        let worst = errors.iter().copied().fold(0.0, f64::max);
+        println!("{sampler:?} to {threshold}: {taken:.1} samples a pixel, worst block {worst:.4}");
+        assert!(taken < 128.0, "{taken} samples a pixel: most blocks are easy");
+        // The estimate's expectation is at least the squared error. A block at the threshold whose estimate comes from few pixels is
+        // off by a standard deviation of the root of 2 / 16, so its error by half of that; three of them.
+        let most = f64::from(threshold) * (1.0 + 1.5 * libm::sqrt(2.0 / 16.0));
+        assert!(worst <= most, "{worst} for {threshold}");
+    }
+}
+
+#[test]
+fn any_weight_ends_and_less_of_it_traces_more() {
+    let pack = mixed_scene().pack();
+    let rays = |cutoff: f32, samples: u32| {
+        let sampling = Sampling { cutoff, ..Sampling::default() };
+        let (pixels, counts) = View { sampling, samples, ..mixed_view() }.layers(&pack);
+        (pixels, counts.reflection + counts.refraction)
+    };
+    let (usual, counted) = rays(Sampling::CUTOFF, 1);
+    assert_eq!(rays(1.0 / 512.0, 1).0, usual);
+    let mut before = u64::MAX;
+    for cutoff in [0.0, 1.0 / 65_536.0, Sampling::CUTOFF, 0.1, 1.0] {
+        let (pixels, rays) = rays(cutoff, 1);
+        assert!(rays <= before, "{rays} rays down to {cutoff}, {before} down to less");
+        before = rays;
+        if cutoff == 0.0 {
+            assert!(rays > counted, "something was cut off");
+            // What was left out: at most 1536 rays of a generation, and in this scene a handful, of less than 1/512 each.
+            for (a, b) in pixels.iter().zip(&usual) {
+                assert_eq!((a.depth, a.id), (b.depth, b.id));
+            }
+        }
+    }
+}
+
+/// Between two mirrors with glass before them every surface has three rays behind it, all of them as deep as may be: the path's stack holds.
+#[test]
+fn the_stack_holds_what_nothing_cuts_off() {
+    let mut stage = Stage::default();
+    stage.quad([-5.0, -5.0, -3.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], mirror(1.0));
+    stage.quad([-5.0, -5.0, 3.0], [0.0, 10.0, 0.0], [10.0, 0.0, 0.0], mirror(1.0));
+    let veiled = tessera_pack::Material {
+        base_color: [1.0, 1.0, 1.0, 0.5],
+        flags: glass(1.5).flags | tessera_pack::MaterialFlags::ALPHA_BLEND,
+        ..glass(1.5)
+    };
+    for z in [-1.0, 0.0, 1.0] {
+        stage.quad([-5.0, -5.0, z], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], veiled);
+    }
+    stage.surround();
+    let pack = stage.pack();
+    let sampling = Sampling { cutoff: 0.0, ..Sampling::default() };
+    let mut before = 0;
+    for max_depth in [0, 3, 6] {
+        let view = View { sampling, max_depth, ..look([0.1, 0.2, 2.0], [0.0; 3]) };
+        let (pixels, counts) = view.layers(&pack);
+        assert!(pixels[0].color.iter().all(|c| c.is_finite()));
+        let rays = counts.reflection + counts.refraction;
+        assert!(rays > 3 * before, "{rays} rays of depth {max_depth}");
+        before = rays;
+    }
+}
