@@ -213,7 +213,9 @@ async fn adaptive_pictures_depend_on_neither_tiles_nor_workers() {
     let (workers, _served) = in_memory(3);
     let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("they join");
     cluster.load(&pack, |_| ()).await.expect("they take the pack");
-    for (sampler, format) in [(Sampler::Jittered, PixelFormat::Layers), (Sampler::LowDiscrepancy, PixelFormat::Rgba8)] {
+    for (sampler, format) in
+        [(Sampler::Jittered, PixelFormat::Layers), (Sampler::LowDiscrepancy, PixelFormat::Rgba8)]
+    {
         let sampling = Sampling { sampler, adaptive: Some(Adaptive { error: 0.02 }), ..Sampling::default() };
         let whole = FrameJob { samples: 64, sampling, format, tile: 160, ..job(&pack, Balance::Dynamic) };
         let frame = whole.to_wire(FrameId(1), tessera_wire::PackId(pack.id().0));
@@ -221,9 +223,16 @@ async fn adaptive_pictures_depend_on_neither_tiles_nor_workers() {
         let (area, layers) = (150 * 100, format == PixelFormat::Layers);
         let taken = rays.primary - if layers { area } else { 0 };
         assert!(taken > 16 * area && taken < 40 * area, "{taken} samples: edges have more than the rest");
-        assert_eq!(cpu_frame(&pack, Kernel::default(), &frame), (pixels.clone(), rays), "with several threads");
+        assert_eq!(
+            cpu_frame(&pack, Kernel::default(), &frame),
+            (pixels.clone(), rays),
+            "with several threads"
+        );
         for (tile, balance) in [(16, Balance::PaperStatic), (48, Balance::Static), (160, Balance::Dynamic)] {
-            let result = cluster.render(&FrameJob { tile, balance, ..whole.clone() }, |_| ()).await.expect("a picture");
+            let result = cluster
+                .render(&FrameJob { tile, balance, ..whole.clone() }, |_| ())
+                .await
+                .expect("a picture");
             assert!(result.image.data() == pixels, "{balance}, tiles of {tile}");
             assert_eq!(result.rays, rays, "{balance}, tiles of {tile}");
         }
@@ -245,7 +254,8 @@ fn plain(pack: &Pack, frame: &tessera_wire::Frame) -> (Vec<u8>, tessera_wire::Ra
         adaptive: frame.sampling.adaptive.map(|a| tessera_whitted::Adaptive { error: a.error }),
     };
     let [origin, forward, right, up] =
-        [frame.camera.origin, frame.camera.forward, frame.camera.right, frame.camera.up].map(Vec3::from_array);
+        [frame.camera.origin, frame.camera.forward, frame.camera.right, frame.camera.up]
+            .map(Vec3::from_array);
     let params = tessera_whitted::FrameParams {
         camera: LocalCamera { origin, forward, right, up },
         width: frame.width,

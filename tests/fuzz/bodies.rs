@@ -9,7 +9,9 @@ use std::sync::OnceLock;
 use tessera_geometry::{CameraPose, DVec3};
 use tessera_pack::{Pack, PackOptions, Plain, build_pack};
 use tessera_scene::{LoadOptions, Scene, SceneError, Selection, Without};
-use tessera_whitted::{Features, FrameParams, PixelBlock, PixelFormat, Renderer};
+use tessera_whitted::{
+    Adaptive, Features, FrameParams, PixelBlock, PixelFormat, Renderer, Sampler, Sampling,
+};
 use tessera_wire::codec::{self, Message};
 use tessera_wire::{
     BatchHeader, FrameSummary, FromClient, JoinString, LocalTicket, PackChunk, ToClient, ToMaster, ToWorker,
@@ -137,13 +139,20 @@ fn render(pack: &Pack) {
     let renderer = Renderer::new(pack);
     for pose in stated.chain([framing]) {
         let Ok(camera) = pose.to_local(&frame, 8, 8) else { continue };
-        for format in [PixelFormat::Rgba8, PixelFormat::Layers] {
+        let thorough = Sampling {
+            sampler: Sampler::LowDiscrepancy,
+            cutoff: 0.0,
+            adaptive: Some(Adaptive { error: 0.1 }),
+        };
+        for (format, samples, sampling) in
+            [(PixelFormat::Rgba8, 1, Sampling::default()), (PixelFormat::Layers, 2, thorough)]
+        {
             let params = FrameParams {
                 camera,
                 width: 8,
                 height: 8,
-                samples: 1,
-                sampling: Default::default(),
+                samples,
+                sampling,
                 max_depth: 3,
                 frame: 0,
                 features: Features::default(),

@@ -156,7 +156,8 @@ fn all_forms_render_the_same_bytes() {
     for (size, samples, sampling, format) in [
         ((131, 70), 3, usual, PixelFormat::Rgba8),
         ((37, 21), 4, sobol, PixelFormat::Layers),
-        ((64, 40), 1, Sampling { cutoff: 0.0, ..usual }, PixelFormat::Rgba16),
+        ((64, 40), 1, usual, PixelFormat::Rgba16),
+        ((9, 7), 1, Sampling { cutoff: 0.0, ..usual }, PixelFormat::Rgba16),
         ((3, 2), 9, Sampling { cutoff: 0.2, ..usual }, PixelFormat::Layers),
         ((60, 37), 40, Sampling { adaptive, ..sobol }, PixelFormat::Rgba8),
         ((35, 20), 40, Sampling { adaptive, ..usual }, PixelFormat::Layers),
@@ -170,7 +171,10 @@ fn all_forms_render_the_same_bytes() {
         let cpu = f64.then(|| cpu_frame(&pack, Kernel::default(), &frame));
         let others = [("a short stack", Some(short)), ("waves", Some(waves)), ("the CPU", cpu)];
         for (name, other) in others.into_iter().filter_map(|(name, other)| Some((name, other?))) {
-            assert_eq!(whole.1, other.1, "{name}: rays of {size:?}, {samples} samples, {sampling:?}, {format:?}");
+            assert_eq!(
+                whole.1, other.1,
+                "{name}: rays of {size:?}, {samples} samples, {sampling:?}, {format:?}"
+            );
             let differ = whole.0.iter().zip(&other.0).filter(|(a, b)| a != b).count();
             assert_eq!(differ, 0, "{name}: bytes of {size:?}, {samples} samples, {sampling:?}, {format:?}");
         }

@@ -72,7 +72,7 @@ pub struct FrameArgs {
     /// Leave out rays whose weight in the pixel is below W, [0, 1]
     ///
     /// The default, 1/512, is below what 8 bits show. With 0 only --depth ends a path: in glass 2^depth rays a sample.
-    #[arg(long, value_name = "W", default_value_t = 1.0 / 512.0, value_parser = weight, help_heading = "Image")]
+    #[arg(long, value_name = "W", default_value_t = Sampling::CUTOFF, value_parser = weight, help_heading = "Image")]
     #[arg(allow_hyphen_values = true)]
     cutoff: f32,
     /// Take fewer samples than --spp where the estimated error is at most ERROR

@@ -257,7 +257,9 @@ mod tests {
     /// Every pixel of every block that a tile touches is asked for once a round, and a flat picture ends after the least number.
     #[test]
     fn a_flat_picture_takes_the_least_number_of_samples() {
-        for (x, y, width, height) in [(0, 0, 64, 41), (16, 16, 16, 16), (5, 7, 30, 3), (48, 32, 22, 9), (3, 3, 0, 4)] {
+        for (x, y, width, height) in
+            [(0, 0, 64, 41), (16, 16, 16, 16), (5, 7, 30, 3), (48, 32, 22, 9), (3, 3, 0, 4)]
+        {
             let rect = PixelBlock { x, y, width, height };
             let params = params(70, 41, 1 << 14, 0.01);
             let mut tile = AdaptiveTile::new(&params, rect).expect("adaptive");
@@ -331,9 +333,7 @@ mod tests {
                 let seed = pixel_seed(5, pixel, 3);
                 // Alpha is judged as it is, without a curve.
                 let sum = |samples: Range<u32>| {
-                    samples
-                        .map(|i| inside(edge(pixel), sampler.offset_in_pixel(i, count, seed)))
-                        .sum::<f64>()
+                    samples.map(|i| inside(edge(pixel), sampler.offset_in_pixel(i, count, seed))).sum::<f64>()
                 };
                 let (a, b) = (sum(0..HALF), sum(HALF..2 * HALF));
                 block.total[pixel as usize][3] = a as f32;

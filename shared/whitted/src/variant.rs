@@ -72,7 +72,7 @@ impl Variant {
     }
 
     /// Greatest number of waiting rays of a path of `depth` mirror and bent rays. A straight continuation is put off first and taken up
-    /// last, with nothing beside it, so only mirrors (behind which bent and straight rays wait) and bent rays add to them.
+    /// last, with nothing beside it, so only mirrors (behind which bent and straight rays wait) and bent rays add to them, whatever they weigh.
     pub fn path_stack(&self, depth: u32) -> u32 {
         match (self.glass, self.mirrors && self.see_through) {
             (true, _) => 2 * depth + 1,

@@ -48,7 +48,7 @@ pub struct Sampling {
 
 impl Default for Sampling {
     fn default() -> Self {
-        Self { sampler: Sampler::default(), cutoff: 1.0 / 512.0, adaptive: None }
+        Self { sampler: Sampler::default(), cutoff: Self::CUTOFF, adaptive: None }
     }
 }
 
@@ -89,6 +89,9 @@ impl Adaptive {
 }
 
 impl Sampling {
+    /// Least weight that is traced unless a frame says otherwise: below half a step of 8-bit linear light.
+    pub const CUTOFF: f32 = 1.0 / 512.0;
+
     /// Checks every number against its range, for a frame in tiles of side `tile`.
     pub fn check(&self, tile: u32) -> Result<(), FrameError> {
         if !(0.0..=1.0).contains(&self.cutoff) {

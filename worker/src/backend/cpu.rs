@@ -186,6 +186,7 @@ pub(crate) fn params(frame: &Frame) -> FrameParams {
 const _: () = {
     assert!(tessera_wire::limits::DEPTH == FrameParams::MAX_DEPTH);
     assert!(Adaptive::BLOCK == BLOCK_SIDE);
+    assert!(tessera_wire::Sampling::CUTOFF == whitted::Sampling::CUTOFF);
     assert!(PixelFormat::Rgba8.bytes_per_pixel() == whitted::PixelFormat::Rgba8.bytes_per_pixel());
     assert!(PixelFormat::Rgba16.bytes_per_pixel() == whitted::PixelFormat::Rgba16.bytes_per_pixel());
     assert!(PixelFormat::Layers.bytes_per_pixel() == whitted::PixelFormat::Layers.bytes_per_pixel());
@@ -216,7 +217,8 @@ mod tests {
 
     #[test]
     fn a_round_is_cut_into_tasks_that_cover_it_once() {
-        for (width, height, samples) in [(48, 16, 0..8), (37, 11, 8..16), (37, 11, 16..64), (16, 16, 64..100)] {
+        for (width, height, samples) in [(48, 16, 0..8), (37, 11, 8..16), (37, 11, 16..64), (16, 16, 64..100)]
+        {
             let round = Round { rect: PixelBlock { x: 32, y: 16, width, height }, samples };
             let mut seen = std::collections::BTreeSet::new();
             for (block, samples) in pieces(&round) {

@@ -4,7 +4,9 @@ use crate::frames::{mixed_scene, mixed_view};
 use crate::support::*;
 use tessera_kdtree::Kernel;
 use tessera_pack::Plain;
-use tessera_whitted::{Adaptive, FrameParams, PixelBlock, PixelFormat, RayCounts, Renderer, Sampler, Sampling};
+use tessera_whitted::{
+    Adaptive, FrameParams, PixelBlock, PixelFormat, RayCounts, Renderer, Sampler, Sampling,
+};
 
 fn adaptive(sampler: Sampler, error: f32) -> Sampling {
     Sampling { sampler, adaptive: Some(Adaptive { error }), ..Sampling::default() }
@@ -26,12 +28,16 @@ fn a_pixel_depends_neither_on_its_tile_nor_on_the_kernel() {
         (Sampler::LowDiscrepancy, PixelFormat::Rgba16),
         (Sampler::LowDiscrepancy, PixelFormat::Layers),
     ] {
-        let view = View { samples: 40, sampling: adaptive(sampler, 0.03), ..mixed_view().sized(width, height) };
+        let view =
+            View { samples: 40, sampling: adaptive(sampler, 0.03), ..mixed_view().sized(width, height) };
         let params = view.params(&pack, format);
         let (whole, counts) = view.bytes(&pack, format);
         let eyes = counts.primary - if format == PixelFormat::Layers { u64::from(width * height) } else { 0 };
         let most = u64::from(40 * width * height);
-        assert!(eyes < most && eyes > most / 4, "{eyes} of {most}: some blocks are finished early, others not");
+        assert!(
+            eyes < most && eyes > most / 4,
+            "{eyes} of {most}: some blocks are finished early, others not"
+        );
         // Multiples of 16 share no block; others do, and the picture is the same.
         for (kernel, sides) in [(Kernel::Scalar, &[16][..]), (Kernel::default(), &[16, 48, 11])] {
             let renderer = Renderer::with_kernel(&pack, kernel);
@@ -93,9 +99,15 @@ fn errors(pack: &tessera_pack::Pack, view: &View, truth: &[Layers]) -> (Vec<f64>
 fn blocks_are_as_good_as_was_asked_for() {
     let pack = mixed_scene().pack();
     let view = mixed_view().sized(64, 48);
-    let reference = View { samples: 1024, sampling: Sampling { sampler: Sampler::LowDiscrepancy, ..Sampling::default() }, ..view };
+    let reference = View {
+        samples: 1024,
+        sampling: Sampling { sampler: Sampler::LowDiscrepancy, ..Sampling::default() },
+        ..view
+    };
     let truth = reference.layers(&pack).0;
-    for (sampler, threshold) in [(Sampler::LowDiscrepancy, 0.02), (Sampler::LowDiscrepancy, 0.01), (Sampler::Jittered, 0.02)] {
+    for (sampler, threshold) in
+        [(Sampler::LowDiscrepancy, 0.02), (Sampler::LowDiscrepancy, 0.01), (Sampler::Jittered, 0.02)]
+    {
         let sampled = View { samples: 256, sampling: adaptive(sampler, threshold), ..view };
         let (errors, taken) = errors(&pack, &sampled, &truth);
         let worst = errors.iter().copied().fold(0.0, f64::max);

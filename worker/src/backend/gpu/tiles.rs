@@ -2,6 +2,10 @@
 //!
 //! Two submissions are under way at a time: while the pixels of one are read back and returned, the device computes the next. Nobody waits
 //! for the device between tiles.
+//!
+//! Of a frame with adaptive sampling the device takes the samples of a round and hands back their sums; [`AdaptiveTile`], the CPU's own, decides
+//! here which blocks need more, and codes the pixels. With `f64` the sums are the CPU's, and so are all decisions; without it a block at the
+//! threshold may get another round than there.
 
 use super::kernel::{GROUP_SIDE, Kernel, Purpose, SLOT_BINDING};
 use super::pass::{Cut, Piece, Together};
