@@ -235,7 +235,7 @@ fn packing_flags_reach_the_pack_and_the_report() {
     let text = Tessera::new(["scene", "info", "a.obj"]).args(flags).within(folder.path()).run().ok();
     let line = "codes      positions in cells, 3 bits an axis; normals oct, 16 bits, within 0.638 degrees, no table; \
                 texture coordinates 1 + 6 bits";
-    assert!(text.stdout.contains(line), "{}", text.stdout);
+    assert!(text.contains(line), "{text}");
 
     // A bundle tells the code, which is in it, and not how it was rounded.
     let pack = Tessera::new(["scene", "pack", "a.obj", "--out", "b.tpack"]).args(flags).within(folder.path());
