@@ -185,7 +185,7 @@ pub struct PackingArgs {
     /// What a split of the kd-tree must save a ray, in steps down the tree for all triangles around it together [default: 1]
     ///
     /// 0 keeps every split that saves anything: a larger tree, faster by less than a step.
-    #[arg(long, value_name = "STEPS", value_parser = args::at_least_zero)]
+    #[arg(long, value_name = "STEPS", value_parser = args::at_least_zero, allow_negative_numbers = true)]
     pub least_saving: Option<f32>,
     /// Leave out features, separated by commas
     #[arg(long, value_name = "FEATURES", value_enum, value_delimiter = ',')]
