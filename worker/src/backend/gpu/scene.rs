@@ -70,7 +70,8 @@ impl GpuScene {
             gpu.device().create_buffer(&descriptor)
         })?;
         gpu.queue().write_buffer(&info, 0, bytes_of(&SceneInfo::of(pack, &words)));
-        let variant = if options.lean { Variant::of(pack) } else { Variant::everything(pack) };
+        let least = if options.lean { Variant::of(pack) } else { Variant::everything(pack) };
+        let variant = options.forced.map_or(least, |part| least.with(part));
         tracing::debug!(
             "the GPU holds {} bytes of the scene after {:.1?}, kernel {}",
             slot_bytes + word_bytes,
@@ -91,6 +92,11 @@ impl GpuScene {
             TraversalForm::Wavefront => Stage::ALL.map(Purpose::Wave).to_vec(),
             TraversalForm::PrivateStack | TraversalForm::ShortStack => vec![Purpose::Render],
         }
+    }
+
+    /// Bytes of the buffers that hold the pack.
+    pub(super) fn device_bytes(&self) -> u64 {
+        self.slots.iter().chain(&self.words).map(Buffer::size).sum()
     }
 
     /// Which scene it is.
