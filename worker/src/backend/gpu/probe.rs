@@ -184,11 +184,6 @@ impl ProbedScene {
         Ok((pixels, rays))
     }
 
-    /// Bytes of its memory that the pack takes: slots of the kd-tree, and the row of words with the tables that go with it.
-    pub fn device_bytes(&self) -> u64 {
-        self.scene.device_bytes()
-    }
-
     /// Bytes of the text of the kernels that frames are rendered with.
     pub fn kernel_bytes(&self, depth: u32) -> Result<usize, GpuError> {
         self.scene.text_bytes(depth)

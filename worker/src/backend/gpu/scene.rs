@@ -94,11 +94,6 @@ impl GpuScene {
         }
     }
 
-    /// Bytes of the buffers that hold the pack.
-    pub(super) fn device_bytes(&self) -> u64 {
-        self.slots.iter().chain(&self.words).map(Buffer::size).sum()
-    }
-
     /// Which scene it is.
     pub(crate) fn pack(&self) -> &Pack {
         &self.pack
