@@ -3,6 +3,7 @@
 mod energy;
 mod frames;
 mod hard;
+mod left_out;
 mod lights;
 mod probes;
 mod refraction;
