@@ -111,7 +111,12 @@ fn a_part_that_is_forced_in_changes_no_bit_of_the_picture() {
         for forced in Forced::ALL {
             let full = pack(Some(forced));
             if full.id() != thin.id() {
-                assert!(frames(&lean, &full) == expected, "{}: {} in the pack", variant.name(), forced.name());
+                assert!(
+                    frames(&lean, &full) == expected,
+                    "{}: {} in the pack",
+                    variant.name(),
+                    forced.name()
+                );
             }
         }
     }

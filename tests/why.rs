@@ -43,7 +43,8 @@ fn what_is_forced_in_changes_no_hash_of_a_generated_scene() {
     let all = Without::default();
     let without = [Without { textures: true, ..all }, Without { refraction: true, ..all }];
     let scenes = Kind::ALL.map(|kind| (kind, all)).into_iter().chain(without.map(|w| (Kind::Hall, w)));
-    let needs = Needs { holes: true, hidden_backs: true, see_through: true, normals: true, uvs: true, colors: true };
+    let needs =
+        Needs { holes: true, hidden_backs: true, see_through: true, normals: true, uvs: true, colors: true };
     for (kind, without) in scenes {
         let prepared = |forced| {
             let scene = generate(&Recipe { kind, triangles: 2000, seed: 1 }).expect("in range");

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use tessera_geometry::{CameraPose, DVec3};
 use tessera_kdtree::BuildOptions;
 use tessera_pack::{
-    Ambient, Environment, EnvironmentKind, Forced, ImageInput, Light, LightKind, Material, MaterialFlags, NO_TEXTURE,
-    NormalCode, Pack, PackBuffer, PackError, PackInput, PackOptions, PackStage, PackStats, Plain, Wrap,
-    build_pack_with,
+    Ambient, Environment, EnvironmentKind, Forced, ImageInput, Light, LightKind, Material, MaterialFlags,
+    NO_TEXTURE, NormalCode, Pack, PackBuffer, PackError, PackInput, PackOptions, PackStage, PackStats, Plain,
+    Wrap, build_pack_with,
     format::{HEADER_LEN, check_header},
 };
 use tessera_scene::{
@@ -568,7 +568,8 @@ mod tests {
             uv_bits: 5,
             ..PrepareOptions::default()
         };
-        let PackOptions { plain, tree, max_intervals, position_bits, normal_code, uv_bits, forced: _ } = options.pack();
+        let PackOptions { plain, tree, max_intervals, position_bits, normal_code, uv_bits, forced: _ } =
+            options.pack();
         assert_eq!((plain, tree), (options.plain, options.tree));
         assert_eq!((max_intervals, position_bits, normal_code, uv_bits), (33, 4, NormalCode::Oct, 5));
         let pack = prepare_scene(scene(), &options, Duration::ZERO).unwrap().pack;

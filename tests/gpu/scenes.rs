@@ -92,7 +92,8 @@ fn city() {
 #[test]
 fn other_codes() {
     with_every(|other| {
-        let mut scene = generate(&Recipe { kind: Kind::Hall, triangles: TRIANGLES, seed: 1 }).expect("in range");
+        let mut scene =
+            generate(&Recipe { kind: Kind::Hall, triangles: TRIANGLES, seed: 1 }).expect("in range");
         scene.name = "hall".into();
         let options = PrepareOptions {
             normal_code: NormalCode::Oct,

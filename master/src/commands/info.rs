@@ -230,11 +230,8 @@ pub struct InfoMs {
 pub fn run(args: InfoArgs, progress: &Progress) -> Result<(), CommandError> {
     args.why.check(&args.scene.scene)?;
     let prepared = run::prepare_scene(&args.scene.scene, &args.scene.packing, progress)?;
-    let why = if args.why.why {
-        Some(why::measure(&args.scene, &args.why, &prepared, progress)?)
-    } else {
-        None
-    };
+    let why =
+        if args.why.why { Some(why::measure(&args.scene, &args.why, &prepared, progress)?) } else { None };
     let options = args.scene.packing.options();
     let build = |refs| {
         let _bar = progress.step(format!("building the kd-tree with {refs} references on an inner node"));

@@ -50,7 +50,8 @@ impl WhyArgs {
             return bench::refuse_bundle(scene);
         }
         if self.backend != BackendArgs::default() {
-            let what = "--backend, --gpu and --kernel say what is measured with --why: add it, or leave them out";
+            let what =
+                "--backend, --gpu and --kernel say what is measured with --why: add it, or leave them out";
             return Err(CommandError::Usage(what.into()));
         }
         Ok(())
@@ -168,7 +169,9 @@ impl What {
     /// What is left out with it.
     fn left_out(self) -> &'static str {
         match self {
-            Self::Packed(Forced::Normals) => "plain normals or the table of packed ones, look-ups, interpolation",
+            Self::Packed(Forced::Normals) => {
+                "plain normals or the table of packed ones, look-ups, interpolation"
+            }
             Self::Packed(Forced::Uvs) => "a word of every vertex record, or the section of plain coordinates",
             Self::Packed(Forced::SideUvs) => "the side table and the search in it",
             Self::Packed(Forced::Colors) => "colours of vertices, look-ups, interpolation",
@@ -230,9 +233,17 @@ fn unneeded(prepared: &Prepared, plain_uvs: bool) -> Vec<(What, String)> {
         (Forced::Uvs, !mesh.has_uvs(), no_uvs()),
         (Forced::SideUvs, !has(Section::SideUvs) && !plain_uvs, section("side-uv").or_else(no_uvs)),
         (Forced::Colors, !mesh.has_colors(), selected("vertex colours").or_else(|| section("color"))),
-        (Forced::Textures, !variant.textures, section("texture").or_else(|| Some("no surface shows a texture".into()))),
+        (
+            Forced::Textures,
+            !variant.textures,
+            section("texture").or_else(|| Some("no surface shows a texture".into())),
+        ),
         (Forced::Materials, !variant.materials && is_many, Some("all triangles are of one material".into())),
-        (Forced::IdRuns, pack.id_run_count() == 1 && is_many, Some("triangles keep the order of the source".into())),
+        (
+            Forced::IdRuns,
+            pack.id_run_count() == 1 && is_many,
+            Some("triangles keep the order of the source".into()),
+        ),
         (Forced::Lights, !has(Section::Lights), section("light")),
         (Forced::Environment, !has(Section::Environment), section("environ")),
         (Forced::Cameras, !has(Section::Cameras), Some("the scene has no camera".into())),
@@ -295,7 +306,10 @@ pub fn measure(
         lines.extend(bench.line(*what, why, &source, &options, cameras)?);
     }
     let hashes = bench.hashes.iter().filter_map(|(picture, hash)| {
-        FORMATS.iter().find(|format| *picture == format!("cpu {}", format.name())).map(|f| (f.name(), hash.clone()))
+        FORMATS
+            .iter()
+            .find(|format| *picture == format!("cpu {}", format.name()))
+            .map(|f| (f.name(), hash.clone()))
     });
     let why_measured = Method {
         width: size.width,
@@ -352,7 +366,8 @@ impl Bench<'_> {
             What::Compiled(_) => self.pack.clone(),
             What::Packed(forced) => {
                 let options = PrepareOptions { forced: Some(forced), ..options.clone() };
-                let twin = prepare_scene(source.clone(), &options, Duration::ZERO).map_err(CommandError::failed)?;
+                let twin =
+                    prepare_scene(source.clone(), &options, Duration::ZERO).map_err(CommandError::failed)?;
                 if twin.pack.id() == self.pack.id() {
                     return Ok(None);
                 }
@@ -363,7 +378,10 @@ impl Bench<'_> {
             What::Compiled(part) => Some(part),
             What::Packed(_) => None,
         };
-        let full = self.gpu.map(|gpu| load(gpu, &twin, GpuOptions { forced, ..GpuOptions::default() })).transpose()?;
+        let full = self
+            .gpu
+            .map(|gpu| load(gpu, &twin, GpuOptions { forced, ..GpuOptions::default() }))
+            .transpose()?;
         let size = Size { width: self.frame.width, height: self.frame.height };
         let of_twin = whole_frame(&twin, cameras, size, DEPTH, self.frame.features)?;
 
@@ -472,17 +490,24 @@ impl Bytes {
 impl Why {
     /// A failure if a picture changes with a part.
     pub fn check_equal(&self) -> Result<(), CommandError> {
-        let changed: Vec<_> = self.why.iter().filter(|line| line.equal == Some(false)).map(|line| line.part).collect();
+        let changed: Vec<_> =
+            self.why.iter().filter(|line| line.equal == Some(false)).map(|line| line.part).collect();
         if changed.is_empty() {
             return Ok(());
         }
-        Err(CommandError::Failed(format!("the picture is another one with {} in: please report it", changed.join(", "))))
+        Err(CommandError::Failed(format!(
+            "the picture is another one with {} in: please report it",
+            changed.join(", ")
+        )))
     }
 
     /// Adds a table for people.
     pub fn write(&self, t: &mut impl std::fmt::Write) -> std::fmt::Result {
         let Method { width, height, reps, kernel, cpu_clock, gpu, gpu_clock, hashes } = &self.why_measured;
-        writeln!(t, "\nLeft out, and what that saves: a frame of {width} x {height}, {reps} pairs without and with each part in turn")?;
+        writeln!(
+            t,
+            "\nLeft out, and what that saves: a frame of {width} x {height}, {reps} pairs without and with each part in turn"
+        )?;
         writeln!(t, "  CPU        {kernel}, {cpu_clock}")?;
         if let Some(gpu) = gpu {
             writeln!(t, "  GPU        {gpu}, {gpu_clock}")?;
@@ -499,12 +524,17 @@ impl Why {
             let (pack, device) = (signed(line.bytes.pack), signed(line.bytes.device));
             write!(t, "  {:<12} {pack:>10} {device:>11}", line.part)?;
             let timings = [("CPU", &line.cpu), ("GPU", &line.gpu)];
-            let timings: Vec<_> = timings.iter().filter_map(|(on, timing)| Some((on, timing.as_ref()?))).collect();
+            let timings: Vec<_> =
+                timings.iter().filter_map(|(on, timing)| Some((on, timing.as_ref()?))).collect();
             for (k, (on, timing)) in timings.iter().enumerate() {
                 let indent = if k > 0 { "\n                                     " } else { "" };
                 let Timing { without_s, with_s, saved_percent: saved } = timing;
                 let share = format!("{:.1} % ({:.1} to {:.1})", saved.median, saved.low, saved.high);
-                write!(t, "{indent}     {on}  {:>7.4} s    {:>7.4} s   {share:>26}   {picture}", without_s.median, with_s.median)?;
+                write!(
+                    t,
+                    "{indent}     {on}  {:>7.4} s    {:>7.4} s   {share:>26}   {picture}",
+                    without_s.median, with_s.median
+                )?;
             }
             if timings.is_empty() {
                 write!(t, "     the CPU decides about it at each hit: no other kernel")?;

@@ -4,7 +4,9 @@ use crate::build::{PackStats, Unneeded};
 use crate::check::distinct_texels;
 use crate::input::{ImageInput, PackInput};
 use crate::mesh::{Runs, texture_slots};
-use crate::records::{Camera, EnvironmentKind, Light, LightKind, Material, MaterialFlags, NO_TEXTURE, Texture};
+use crate::records::{
+    Camera, EnvironmentKind, Light, LightKind, Material, MaterialFlags, NO_TEXTURE, Texture,
+};
 use rayon::prelude::*;
 
 /// A part that is packed though the scene does not need it, with content that changes no bit of any picture: the twin by which
@@ -184,7 +186,9 @@ fn drop_textures(input: &mut PackInput, stats: &mut PackStats) {
     input.textures.retain(|_| used.next() == Some(&true));
     let move_to = |slot: &mut u32| *slot = places.get(*slot as usize).copied().unwrap_or(NO_TEXTURE);
     for m in &mut input.materials {
-        let Material { base_texture, metallic_roughness_texture, emissive_texture, transmission_texture, .. } = m;
+        let Material {
+            base_texture, metallic_roughness_texture, emissive_texture, transmission_texture, ..
+        } = m;
         [base_texture, metallic_roughness_texture, emissive_texture, transmission_texture]
             .into_iter()
             .for_each(move_to);
@@ -226,7 +230,8 @@ fn drop_lights(input: &mut PackInput, stats: &mut PackStats) {
     let all = input.lights.len();
     let is_dark = |light: &Light| light.intensity == [0.0; 3];
     let nothing_is_lit = input.materials.iter().all(is_unlit);
-    let mut kept = input.lights.iter().map(|light| !is_dark(light) && !nothing_is_lit).collect::<Vec<_>>().into_iter();
+    let mut kept =
+        input.lights.iter().map(|light| !is_dark(light) && !nothing_is_lit).collect::<Vec<_>>().into_iter();
     let mut kept_too = kept.clone();
     input.lights.retain(|_| kept.next() == Some(true));
     input.light_positions.retain(|_| kept_too.next() == Some(true));
@@ -257,7 +262,13 @@ pub(crate) fn force_in(
             let white = input.textures.len() as u32;
             input.materials.iter_mut().for_each(|m| m.base_texture = white);
             let name = "white".into();
-            input.textures.push(ImageInput { name, width: 1, height: 1, rgba: [255; 4].into(), ..Default::default() });
+            input.textures.push(ImageInput {
+                name,
+                width: 1,
+                height: 1,
+                rgba: [255; 4].into(),
+                ..Default::default()
+            });
         }
         Some(Forced::Materials) => {
             if let ([run], half @ 1..) = (&material_runs[..], ids.len() as u32 / 2) {

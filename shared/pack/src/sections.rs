@@ -96,8 +96,7 @@ impl Sections {
                 sources().map(|v| frame.to_local(DVec3::from_array(input.positions[v])).to_array()).collect();
         }
         out.has_normals = !input.normals.is_empty()
-            && (forced == Some(Forced::Normals)
-                || sources().any(|v| direction(input.normals[v]).is_some()));
+            && (forced == Some(Forced::Normals) || sources().any(|v| direction(input.normals[v]).is_some()));
         if !input.normals.is_empty() && !out.has_normals {
             stats.leave_out("normal", "no normal has a direction");
         }
@@ -155,7 +154,8 @@ impl Sections {
                 PackedUv::Units(units) => Record::default().with_uv(*units).uv(),
                 PackedUv::Side | PackedUv::Unread => [0.0; 2],
             };
-            out.side_uvs = (0..).zip(&plan.uv).map(|(vertex, uv)| SideUv { vertex, uv: decoded(uv) }).collect();
+            out.side_uvs =
+                (0..).zip(&plan.uv).map(|(vertex, uv)| SideUv { vertex, uv: decoded(uv) }).collect();
         } else if packed_uvs {
             out.side_uvs = (0..plan.source.len())
                 .filter(|&i| plan.uv[i] == PackedUv::Side)

@@ -33,7 +33,9 @@ fn cases(section: Section) -> Option<(Vec<Case>, Case)> {
         | Section::IdRuns
         | Section::Slots
         | Section::Materials => return None,
-        Section::Cells => (vec![(everything(8), all_plain), (everything(8), plain(true, false, false))], full()),
+        Section::Cells => {
+            (vec![(everything(8), all_plain), (everything(8), plain(true, false, false))], full())
+        }
         Section::Records => {
             (vec![(everything(8), all_plain), (sheet(), plain(true, false, false))], (sheet(), usual))
         }
@@ -77,7 +79,8 @@ fn cases(section: Section) -> Option<(Vec<Case>, Case)> {
             };
             // Its triangles have no area.
             let flat = |input: &mut PackInput| {
-                input.materials = vec![Material { base_texture: 0, ..Material::default() }, Material::default()];
+                input.materials =
+                    vec![Material { base_texture: 0, ..Material::default() }, Material::default()];
                 input.material_runs = vec![(0, 0), (2, 1)];
                 input.triangles[0] = [0, 0, 1];
                 input.triangles[1] = [2, 2, 2];
@@ -218,7 +221,8 @@ fn coordinates_in_the_side_table_decode_to_the_same_bits() {
 
 #[test]
 fn masks_and_blending_go_where_everything_is_opaque() {
-    let opaque = ImageInput { rgba: [7, 8, 9, 255].repeat(4).into(), ..image(2, 2, Wrap::Repeat, Wrap::Repeat) };
+    let opaque =
+        ImageInput { rgba: [7, 8, 9, 255].repeat(4).into(), ..image(2, 2, Wrap::Repeat, Wrap::Repeat) };
     let holed = ImageInput { rgba: [7, 8, 9, 254].repeat(4).into(), ..opaque.clone() };
     let [mask, blend] = [MaterialFlags::ALPHA_MASK, MaterialFlags::ALPHA_BLEND];
     let flags_of = |texture: &ImageInput, flags, alpha, alpha_cutoff, color: [u8; 4]| {
@@ -227,7 +231,8 @@ fn masks_and_blending_go_where_everything_is_opaque() {
         input.colors = vec![color; 3];
         input.textures = vec![texture.clone()];
         let base_color = [1.0, 1.0, 1.0, alpha];
-        input.materials = vec![Material { base_color, alpha_cutoff, base_texture: 0, flags, ..Material::default() }];
+        input.materials =
+            vec![Material { base_color, alpha_cutoff, base_texture: 0, flags, ..Material::default() }];
         build((input, PackOptions::default())).0.materials()[0].flags
     };
     let white = [255; 4];

@@ -3,7 +3,7 @@
 use crate::support::*;
 use std::collections::BTreeSet;
 use tessera_kdtree::Kernel;
-use tessera_pack::{ImageInput, Forced, Material, MaterialFlags, Pack, PackOptions, Plain, build_pack};
+use tessera_pack::{Forced, ImageInput, Material, MaterialFlags, Pack, PackOptions, Plain, build_pack};
 use tessera_whitted::{Needs, PixelBlock, PixelFormat, RayCounts, Renderer};
 
 /// A picture of 4 x 4 texels with every alpha, or opaque.
@@ -63,9 +63,19 @@ fn stages() -> [(&'static str, Stage); 6] {
     clutter.light(point_light([0.0, 3.0, 0.0], 0.0));
     floor(&mut clutter, Material { flags: MaterialFlags::ALPHA_MASK, emissive_texture: 1, ..textured });
     let flags = MaterialFlags::UNLIT | MaterialFlags::DOUBLE_SIDED;
-    let flat_color = Material { flags, metallic_roughness_texture: 1, emissive: [1.0; 3], emissive_texture: 1, ..textured };
+    let flat_color = Material {
+        flags,
+        metallic_roughness_texture: 1,
+        emissive: [1.0; 3],
+        emissive_texture: 1,
+        ..textured
+    };
     ball(&mut clutter, -1.0, flat_color);
-    ball(&mut clutter, 1.0, Material { flags: MaterialFlags::ALPHA_BLEND, transmission_texture: 1, ..textured });
+    ball(
+        &mut clutter,
+        1.0,
+        Material { flags: MaterialFlags::ALPHA_BLEND, transmission_texture: 1, ..textured },
+    );
     clutter.input.colors.fill([200, 255, 255, 255]);
 
     [
@@ -94,7 +104,8 @@ fn frames(pack: &Pack, kernel: Kernel, forced: Needs) -> Vec<(Vec<u8>, RayCounts
 /// Every part of the CPU's kernel by itself, and all together.
 fn needs() -> [(&'static str, Needs); 7] {
     let none = Needs::default();
-    let all = Needs { holes: true, hidden_backs: true, see_through: true, normals: true, uvs: true, colors: true };
+    let all =
+        Needs { holes: true, hidden_backs: true, see_through: true, normals: true, uvs: true, colors: true };
     [
         ("holes", Needs { holes: true, ..none }),
         ("hidden-backs", Needs { hidden_backs: true, ..none }),
@@ -129,7 +140,11 @@ fn a_part_that_is_forced_in_changes_no_bit() {
                         seen.insert(forced.name());
                     }
                     let found = frames(&full, kernel, Needs::default());
-                    assert!(found == expected, "{name}, {plain:?}, {kernel:?}: {} in the pack", forced.name());
+                    assert!(
+                        found == expected,
+                        "{name}, {plain:?}, {kernel:?}: {} in the pack",
+                        forced.name()
+                    );
                 }
 
                 // In the kernel.
@@ -167,7 +182,12 @@ fn a_colour_of_all_corners_is_that_colour_everywhere() {
     // A mask whose cut-off is the very alpha that all corners have: not one pixel is a hole.
     let mut stage = Stage::default();
     let material = Material { flags: MaterialFlags::ALPHA_MASK, alpha_cutoff: 1.0, ..unlit([1.0; 3]) };
-    stage.quad([-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], Material { flags: material.flags | 3, ..material });
+    stage.quad(
+        [-1.0, -1.0, 0.0],
+        [2.0, 0.0, 0.0],
+        [0.0, 2.0, 0.0],
+        Material { flags: material.flags | 3, ..material },
+    );
     stage.quad([-9.0, 5.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], material);
     let last = stage.input.colors.len() - 1;
     stage.input.colors[..last].fill([128, 64, 32, 255]);

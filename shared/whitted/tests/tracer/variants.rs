@@ -52,7 +52,8 @@ fn materials_decide_about_holes_sides_light_mirrors_and_glass() {
     let flags = MaterialFlags::DOUBLE_SIDED;
     let rough = |roughness| Material { roughness, ..chalk() };
     let clear = Material { transmission: 0.5, ..chalk() };
-    let half = |bit| Material { base_color: [1.0, 1.0, 1.0, 0.5], alpha_cutoff: 0.6, flags: flags | bit, ..chalk() };
+    let half =
+        |bit| Material { base_color: [1.0, 1.0, 1.0, 0.5], alpha_cutoff: 0.6, flags: flags | bit, ..chalk() };
     let whole = |bit| Material { flags: flags | bit, ..chalk() };
     let cases: [(Material, &[&str]); 13] = [
         (half(MaterialFlags::ALPHA_MASK), &["holes"]),
