@@ -30,3 +30,4 @@ mod simulation;
 mod support;
 mod tidy;
 mod variants;
+mod why;

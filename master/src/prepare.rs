@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use tessera_geometry::{CameraPose, DVec3};
 use tessera_kdtree::BuildOptions;
 use tessera_pack::{
-    Ambient, Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, MaterialFlags, NO_TEXTURE,
-    NormalCode, Pack, PackBuffer, PackError, PackInput, PackOptions, PackStage, PackStats, Plain, Wrap,
-    build_pack_with,
+    Ambient, Environment, EnvironmentKind, Forced, ImageInput, Light, LightKind, Material, MaterialFlags,
+    NO_TEXTURE, NormalCode, Pack, PackBuffer, PackError, PackInput, PackOptions, PackStage, PackStats, Plain,
+    Wrap, build_pack_with,
     format::{HEADER_LEN, check_header},
 };
 use tessera_scene::{
@@ -37,11 +37,13 @@ pub struct PrepareOptions {
     pub normal_code: NormalCode,
     /// Bits of a component of packed texture coordinates, 1..=16; see [`PackOptions::uv_bits`].
     pub uv_bits: u32,
+    /// A part that is packed though the scene does not need it.
+    pub forced: Option<Forced>,
 }
 
 impl Default for PrepareOptions {
     fn default() -> Self {
-        let PackOptions { plain, tree, max_intervals, position_bits, normal_code, uv_bits } =
+        let PackOptions { plain, tree, max_intervals, position_bits, normal_code, uv_bits, forced } =
             PackOptions::default();
         Self {
             load: LoadOptions::default(),
@@ -52,6 +54,7 @@ impl Default for PrepareOptions {
             position_bits,
             normal_code,
             uv_bits,
+            forced,
         }
     }
 }
@@ -59,8 +62,8 @@ impl Default for PrepareOptions {
 impl PrepareOptions {
     /// Those of packing.
     pub fn pack(&self) -> PackOptions {
-        let Self { plain, tree, max_intervals, position_bits, normal_code, uv_bits, .. } = *self;
-        PackOptions { plain, tree, max_intervals, position_bits, normal_code, uv_bits }
+        let Self { plain, tree, max_intervals, position_bits, normal_code, uv_bits, forced, .. } = *self;
+        PackOptions { plain, tree, max_intervals, position_bits, normal_code, uv_bits, forced }
     }
 }
 
@@ -217,7 +220,11 @@ pub fn prepare_scene_with(
 ) -> Result<Prepared, PrepareError> {
     let start = Instant::now();
     let flat = scene.flatten()?;
-    let selection = Selection::of(&scene, &flat, options.without);
+    let mut selection = Selection::of(&scene, &flat, options.without);
+    let keeps_unused = options.forced == Some(Forced::Unused);
+    if keeps_unused {
+        selection.keep_unused(&scene, &flat, options.without);
+    }
     let mut source = Source {
         nodes: scene.nodes.len(),
         meshes: scene.meshes.len(),
@@ -229,7 +236,7 @@ pub fn prepare_scene_with(
     };
     // A large scene's own vertices are not needed any more; packing wants the memory.
     scene.meshes = Vec::new();
-    let input = pack_input(&scene, flat, &selection, &options.without);
+    let input = pack_input(&scene, flat, &selection, &options.without, keeps_unused);
     let Scene { name, cameras, mut warnings, notes, .. } = scene;
     let (pack, stats) = build_pack_with(input, &options.pack(), on_stage)
         .map_err(|source| PrepareError::Pack { name: name.clone(), source })?;
@@ -240,9 +247,10 @@ pub fn prepare_scene_with(
         return Err(PrepareError::Empty { name, dropped: dropped.join(", ") });
     }
     warnings.extend_from_slice(&stats.warnings);
+    let mut left_out = selection.left_out;
+    left_out.extend(stats.unneeded.iter().map(|u| LeftOut::counted(u.count, u.what, u.why, u.bytes)));
     source.stats = stats;
     let timings = PrepareTimings { read, pack: start.elapsed() };
-    let left_out = selection.left_out;
     Ok(Prepared { name, pack, cameras, source: Some(source), left_out, warnings, notes, timings })
 }
 
@@ -261,8 +269,15 @@ pub fn choose_camera<'a>(cameras: &'a [Camera], name: Option<&str>) -> Result<&'
     })
 }
 
-/// Arrays for the packer: what the selection keeps, indices counted anew.
-fn pack_input(scene: &Scene, flat: FlatMesh, selection: &Selection, without: &Without) -> PackInput {
+/// Arrays for the packer: what the selection keeps, indices counted anew; and all images of the selection, those too that nothing names,
+/// if it `keeps_unused` ones.
+fn pack_input(
+    scene: &Scene,
+    flat: FlatMesh,
+    selection: &Selection,
+    without: &Without,
+    keeps_unused: bool,
+) -> PackInput {
     let mut textures = Textures { scene, selection, inputs: Vec::new(), places: HashMap::new() };
     let materials: Vec<_> = selection
         .materials
@@ -270,6 +285,9 @@ fn pack_input(scene: &Scene, flat: FlatMesh, selection: &Selection, without: &Wi
         .map(|&index| pack_material(&scene.materials[index], without, &mut textures))
         .collect();
     let environment = pack_environment(&scene.environment, &mut textures);
+    if keeps_unused {
+        selection.images.iter().for_each(|&image| textures.place_unused(image));
+    }
     let mut places = vec![0; scene.materials.len()];
     for (place, &index) in (0..).zip(&selection.materials) {
         places[index] = place;
@@ -321,6 +339,14 @@ impl Textures<'_> {
             });
             self.inputs.len() as u32 - 1
         })
+    }
+
+    /// A place for an image that nothing has asked for.
+    fn place_unused(&mut self, image: usize) {
+        if self.places.keys().all(|texture| texture.image != image) {
+            let wrap = tessera_scene::Wrap::default();
+            self.place(Some(TextureRef { image, wrap_s: wrap, wrap_t: wrap, nearest: false }));
+        }
     }
 }
 
@@ -542,7 +568,8 @@ mod tests {
             uv_bits: 5,
             ..PrepareOptions::default()
         };
-        let PackOptions { plain, tree, max_intervals, position_bits, normal_code, uv_bits } = options.pack();
+        let PackOptions { plain, tree, max_intervals, position_bits, normal_code, uv_bits, forced: _ } =
+            options.pack();
         assert_eq!((plain, tree), (options.plain, options.tree));
         assert_eq!((max_intervals, position_bits, normal_code, uv_bits), (33, 4, NormalCode::Oct, 5));
         let pack = prepare_scene(scene(), &options, Duration::ZERO).unwrap().pack;

@@ -18,6 +18,7 @@ use std::{
     time::{Duration, Instant},
 };
 use tessera_pack::Pack;
+use tessera_whitted::Renderer;
 
 /// A running render thread; dropping it ends the thread, and what it is at.
 pub(crate) struct RenderThread {
@@ -98,7 +99,8 @@ fn render_on_cpu(
     let kernel = backend.kernel();
     while let Ok((task, pack, stop)) = queue.recv() {
         let begun = Instant::now();
-        let rendered = pool.install(|| cpu::render(&pack, kernel, &task.frame, task.rect, &stop));
+        let renderer = Renderer::with_kernel(&pack, kernel);
+        let rendered = pool.install(|| cpu::render(&renderer, &task.frame, task.rect, &stop));
         let time = begun.elapsed();
         tell(match rendered {
             Some((pixels, rays)) => {

@@ -55,6 +55,9 @@ fn write_all(info: &Info, t: &mut String) -> std::fmt::Result {
     for line in &info.sections_left_out {
         writeln!(t, "  {:<10} {:>12}   {}", line.section, "none", line.why)?;
     }
+    if let Some(why) = &info.why {
+        why.write(t)?;
+    }
     Ok(())
 }
 

@@ -18,6 +18,7 @@ mod page;
 mod progress;
 mod render;
 mod run;
+mod why;
 mod worker;
 
 pub use error::{CommandError, say};

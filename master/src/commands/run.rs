@@ -168,7 +168,7 @@ impl Crew {
 }
 
 /// Whether there is a GPU that `auto` might take.
-fn has_gpu() -> bool {
+pub fn has_gpu() -> bool {
     tessera_worker::adapters().iter().any(|adapter| adapter.unusable.is_none() && adapter.kind != "software")
 }
 

@@ -4,7 +4,8 @@ use crate::check::{check_input, distinct_texels};
 use crate::error::BuildError;
 use crate::format::{Head, Section, assemble};
 use crate::input::{ImageInput, PackInput};
-use crate::mesh::{drop_collapsed, drop_unusable, plan_vertices, sort_by_material, texture_slots};
+use crate::mesh::{drop_collapsed, drop_unusable, plan_vertices, sort_by_material};
+use crate::need::{DARK, Forced, force_in, leave_out, leave_out_unused};
 use crate::records::{EnvironmentKind, Light, Texture};
 use crate::sections::Sections;
 use crate::view::{MeshView, Pack};
@@ -49,6 +50,8 @@ pub struct PackOptions {
     /// Bits of a component of packed texture coordinates, 1..=16: one before the point, the others behind it. As for `position_bits`, fewer
     /// than 16 are rounded to when packing. Coordinates in the side table stay `f32`.
     pub uv_bits: u32,
+    /// A part that is packed though the scene does not need it.
+    pub forced: Option<Forced>,
 }
 
 impl Default for PackOptions {
@@ -60,6 +63,7 @@ impl Default for PackOptions {
             position_bits: POSITION_BITS,
             normal_code: NormalCode::default(),
             uv_bits: UvBits::ALL.bits(),
+            forced: None,
         }
     }
 }
@@ -96,10 +100,25 @@ pub struct PackStats {
     pub sections: Vec<(&'static str, u64)>,
     /// Optional sections that this scene did not need: what, why.
     pub left_out: Vec<(&'static str, String)>,
+    /// What the input held and no picture shows.
+    pub unneeded: Vec<Unneeded>,
     /// What a user should know about the input: one line each.
     pub warnings: Vec<String>,
     /// The tree.
     pub tree: TreeStats,
+}
+
+/// Something of the input that changes no picture and is not packed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Unneeded {
+    /// What, in the singular.
+    pub what: &'static str,
+    /// Why.
+    pub why: &'static str,
+    /// How many, > 0.
+    pub count: u64,
+    /// Bytes that they would take in the pack.
+    pub bytes: u64,
 }
 
 /// A part of the work of [`build_pack_with`].
@@ -147,7 +166,9 @@ pub fn build_pack_with(
 
     // Drop triangles that have no area in the form in which they will be held.
     drop_collapsed(&mut input, &mut ids, &grid, options.plain, &mut stats);
-    let (material_runs, id_runs) = sort_by_material(&mut input, &mut ids);
+    let (mut material_runs, mut id_runs) = sort_by_material(&mut input, &mut ids);
+    leave_out_unused(&mut input, &mut material_runs, options.forced, &mut stats);
+    force_in(&mut input, &mut material_runs, &mut id_runs, &ids, options.forced);
 
     // Choose texture shifts; from here triangles name packed vertices.
     let plan = plan_vertices(&mut input, &ids, &material_runs, uv_bits, &mut stats)?;
@@ -160,9 +181,14 @@ pub fn build_pack_with(
     let PackInput { materials, textures, mut lights, light_positions, ambient, environment, cameras, .. } =
         input;
     sections.materials = materials;
-    sections.environment =
-        (environment.kind != EnvironmentKind::None as u32).then_some(environment).into_iter().collect();
+    let has_environment = environment.kind != EnvironmentKind::None as u32;
+    if has_environment || options.forced == Some(Forced::Environment) {
+        sections.environment = vec![environment];
+    }
     place_lights(&mut lights, &light_positions, &frame)?;
+    if lights.is_empty() && options.forced == Some(Forced::Lights) {
+        lights.push(DARK);
+    }
     sections.lights = lights;
     sections.cameras = cameras;
 
@@ -208,35 +234,6 @@ pub fn build_pack_with(
     stats.vertices = u64::from(pack.vertex_count());
     stats.sections = pack.section_sizes();
     Ok((pack, stats))
-}
-
-/// Empties what the scene does not need, before anything is done with it.
-fn leave_out(input: &mut PackInput, stats: &mut PackStats) {
-    let mut left_out = |what: &'static str, why: &str| stats.left_out.push((what, why.into()));
-    if input.uvs.is_empty() {
-        left_out("uv", "the scene has no texture coordinates");
-    } else if input.materials.iter().all(|m| texture_slots(m).next().is_none()) {
-        left_out("uv", "no material has a texture");
-        input.uvs = Vec::new();
-    }
-    if input.normals.is_empty() {
-        left_out("normal", "the scene has no shading normals");
-    }
-    if input.colors.is_empty() {
-        left_out("color", "the scene has no vertex colours");
-    } else if input.colors.par_iter().all(|&c| c == [255; 4]) {
-        left_out("color", "every vertex colour is white");
-        input.colors = Vec::new();
-    }
-    if input.textures.is_empty() {
-        left_out("texture", "the scene has no textures");
-    }
-    if input.lights.is_empty() {
-        left_out("light", "the scene has no lights");
-    }
-    if input.environment.kind == EnvironmentKind::None as u32 {
-        left_out("environ", "a miss is black and transparent");
-    }
 }
 
 /// Records the grid, and warns when the input's numbers are too coarse for the scene's own size.

@@ -12,6 +12,7 @@ pub mod error;
 pub mod format;
 pub mod input;
 mod mesh;
+mod need;
 pub mod records;
 mod rules;
 mod sections;
@@ -19,9 +20,10 @@ mod validate;
 pub mod view;
 
 pub use buffer::PackBuffer;
-pub use build::{PackOptions, PackStage, PackStats, Plain, build_pack, build_pack_with};
+pub use build::{PackOptions, PackStage, PackStats, Plain, Unneeded, build_pack, build_pack_with};
 pub use error::{BuildError, PackError};
 pub use input::{ImageInput, PackInput};
+pub use need::Forced;
 pub use records::{
     Ambient, Camera, Environment, EnvironmentKind, Light, LightKind, Material, MaterialFlags, NO_TEXTURE,
     SideUv, Texture, Wrap,

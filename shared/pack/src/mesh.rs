@@ -164,7 +164,7 @@ pub(crate) fn plan_vertices(
     stats.split_vertices = plan.split_vertices;
     stats.side_uv_triangles = plan.side_triangles;
     if plan.side_triangles == 0 {
-        stats.left_out.push(("side-uv", "every texture coordinate packs".into()));
+        stats.leave_out("side-uv", "every texture coordinate packs");
     }
     Ok(plan)
 }

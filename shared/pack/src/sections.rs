@@ -4,6 +4,7 @@ use crate::build::{PackOptions, PackStats};
 use crate::format::{Head, Section};
 use crate::input::PackInput;
 use crate::mesh::Runs;
+use crate::need::Forced;
 use crate::records::{Camera, Environment, Light, Material, SideUv, Texture};
 use crate::view::cells_are_wide;
 use rayon::prelude::*;
@@ -84,7 +85,7 @@ impl Sections {
         options: &PackOptions,
         stats: &mut PackStats,
     ) -> Self {
-        let PackOptions { plain, normal_code, .. } = *options;
+        let PackOptions { plain, normal_code, forced, .. } = *options;
         let mut out = Self::default();
         let sources = || plan.source.par_iter().map(|&v| v as usize);
         let frame = grid.frame();
@@ -94,10 +95,10 @@ impl Sections {
             out.positions =
                 sources().map(|v| frame.to_local(DVec3::from_array(input.positions[v])).to_array()).collect();
         }
-        out.has_normals =
-            !input.normals.is_empty() && sources().any(|v| direction(input.normals[v]).is_some());
+        out.has_normals = !input.normals.is_empty()
+            && (forced == Some(Forced::Normals) || sources().any(|v| direction(input.normals[v]).is_some()));
         if !input.normals.is_empty() && !out.has_normals {
-            stats.left_out.push(("normal", "no normal has a direction".into()));
+            stats.leave_out("normal", "no normal has a direction");
         }
         if out.has_normals && plain.normals {
             out.normals = sources().map(|v| unit_or_zero(input.normals[v])).collect();
@@ -118,6 +119,8 @@ impl Sections {
         let packed_normals = out.has_normals && !plain.normals;
         let packed_uvs = has_uvs && !plain.uvs;
         out.normal_code = packed_normals.then_some(normal_code);
+        // Where some are in the side table anyway, it is needed.
+        let all_aside = packed_uvs && forced == Some(Forced::SideUvs) && !plan.uv.contains(&PackedUv::Side);
         if plain.positions && !packed_normals && !packed_uvs {
             return out;
         }
@@ -134,6 +137,7 @@ impl Sections {
             let normal = if packed_normals { normal_code.encode(input.normals[v]) } else { NO_NORMAL };
             let record = Record::new(voxel, cell, normal);
             match plan.uv.get(i) {
+                Some(_) if all_aside => record.with_side_uv(),
                 Some(PackedUv::Units(uv)) if packed_uvs => record.with_uv(*uv),
                 Some(PackedUv::Side) if packed_uvs => record.with_side_uv(),
                 _ => record,
@@ -144,7 +148,15 @@ impl Sections {
         out.records.par_chunks_exact_mut(words).enumerate().for_each(|(i, to)| {
             to.copy_from_slice(&record(i).0[..words]);
         });
-        if packed_uvs {
+        if all_aside {
+            // As they would be decoded.
+            let decoded = |uv: &PackedUv| match uv {
+                PackedUv::Units(units) => Record::default().with_uv(*units).uv(),
+                PackedUv::Side | PackedUv::Unread => [0.0; 2],
+            };
+            out.side_uvs =
+                (0..).zip(&plan.uv).map(|(vertex, uv)| SideUv { vertex, uv: decoded(uv) }).collect();
+        } else if packed_uvs {
             out.side_uvs = (0..plan.source.len())
                 .filter(|&i| plan.uv[i] == PackedUv::Side)
                 .map(|i| SideUv { vertex: i as u32, uv: input.uvs[plan.source[i] as usize] })

@@ -43,6 +43,16 @@ pub struct LeftOut {
     pub bytes: u64,
 }
 
+impl LeftOut {
+    /// "1 image", "2 images".
+    pub fn counted(count: u64, what: &str, why: &str, bytes: u64) -> Self {
+        // Of several words the first is the thing.
+        let (thing, more) = what.split_once(' ').map_or((what, String::new()), |(a, b)| (a, format!(" {b}")));
+        let plural = if count == 1 { "" } else { "s" };
+        Self { what: format!("{count} {thing}{plural}{more}"), why: why.to_owned(), bytes }
+    }
+}
+
 /// The part of a scene that is packed: indices into the scene, and what was left out.
 ///
 /// A kept material may still name an image that is not kept (a texture that has no effect, or all of them under
@@ -86,6 +96,16 @@ impl Selection {
         selection
     }
 
+    /// Keeps every material and image, and the texture coordinates that go with them: the twin by which leaving unused ones out is measured.
+    /// No picture changes; what was asked for `without` stays away.
+    pub fn keep_unused(&mut self, scene: &Scene, flat: &FlatMesh, without: Without) {
+        self.materials = (0..scene.materials.len()).collect();
+        if !without.textures {
+            self.images = (0..scene.images.len()).collect();
+            self.uvs = !flat.uvs.is_empty();
+        }
+    }
+
     fn leave_out(&mut self, what: impl Into<String>, why: &str, bytes: u64) {
         self.left_out.push(LeftOut { what: what.into(), why: why.to_owned(), bytes });
     }
@@ -94,7 +114,7 @@ impl Selection {
         let unused = scene.materials.len() - self.materials.len();
         if unused > 0 {
             let bytes = (unused * size_of::<Material>()) as u64;
-            self.leave_out(counted(unused, "material"), "no triangle uses them", bytes);
+            self.left_out.push(LeftOut::counted(unused as u64, "material", "no triangle uses them", bytes));
         }
     }
 
@@ -126,7 +146,7 @@ impl Selection {
         if unused > 0 {
             let sizes = scene.images.iter().zip(&is_used).filter(|(_, is_used)| !**is_used);
             let bytes = sizes.map(|(image, _)| image.rgba.len() as u64).sum();
-            self.leave_out(counted(unused, "image"), why, bytes);
+            self.left_out.push(LeftOut::counted(unused as u64, "image", why, bytes));
         }
     }
 
@@ -148,11 +168,6 @@ impl Selection {
     }
 }
 
-/// "1 image", "2 images".
-fn counted(count: usize, what: &str) -> String {
-    if count == 1 { format!("1 {what}") } else { format!("{count} {what}s") }
-}
-
 fn used_materials(flat: &FlatMesh) -> Vec<usize> {
     let mut materials: Vec<usize> =
         flat.material_runs.iter().map(|&(_, material)| material as usize).collect();
@@ -163,11 +178,13 @@ fn used_materials(flat: &FlatMesh) -> Vec<usize> {
 
 /// The textures that change what a material looks like.
 fn effective_textures(material: &Material, without: Without) -> impl Iterator<Item = TextureRef> {
-    let emits = material.emissive != [0.0; 3];
-    let transmits = material.transmission > 0.0 && !without.refraction;
+    // An unlit surface shows its base colour alone.
+    let is_lit = !material.unlit;
+    let emits = is_lit && material.emissive != [0.0; 3];
+    let transmits = is_lit && material.transmission > 0.0 && !without.refraction;
     [
         material.base_texture,
-        material.metallic_roughness_texture.filter(|_| !material.unlit),
+        material.metallic_roughness_texture.filter(|_| is_lit),
         material.emissive_texture.filter(|_| emits),
         material.transmission_texture.filter(|_| transmits),
     ]

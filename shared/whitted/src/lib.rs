@@ -43,4 +43,4 @@ pub use frame::{Adaptive, Features, FrameParams, PixelFormat, RayCounts, Samplin
 pub use pixel::{NUMERIC_CLASS, PixelBlock};
 pub use probe::Probe;
 pub use sample::Sampler;
-pub use scene::Renderer;
+pub use scene::{Needs, Renderer};

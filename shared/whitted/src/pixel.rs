@@ -11,7 +11,7 @@ use tessera_geometry::wide::{LANES, lanes_in};
 use tessera_geometry::{Hit, Ray, Vec2, Vec3};
 
 /// Names the arithmetic: frames of one class are equal bit for bit. Raise the number with every change of a result.
-pub const NUMERIC_CLASS: &str = "cpu-3";
+pub const NUMERIC_CLASS: &str = "cpu-4";
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

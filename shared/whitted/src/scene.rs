@@ -25,19 +25,51 @@ pub struct Renderer<'a> {
     images: Images<'a>,
 }
 
-/// Parts of the kernel that a scene without them skips.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Needs {
+/// Parts of the CPU's kernel that a scene without them skips. (Mirrors and glass are decided about at each hit.)
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Needs {
     /// Some material has holes: every candidate hit is tested for one.
-    pub(crate) holes: bool,
+    pub holes: bool,
     /// Some material does not show from behind: every candidate hit of a ray that looks is tested for its side.
-    pub(crate) hidden_backs: bool,
+    pub hidden_backs: bool,
     /// Some material lets light through: a shadow ray steps from surface to surface.
-    pub(crate) see_through: bool,
-    /// There are vertex normals, texture coordinates (and a material that has a use for them), vertex colours.
-    pub(crate) normals: bool,
-    pub(crate) uvs: bool,
-    pub(crate) colors: bool,
+    pub see_through: bool,
+    /// There are vertex normals.
+    pub normals: bool,
+    /// There are texture coordinates, and a material that has a use for them.
+    pub uvs: bool,
+    /// There are vertex colours.
+    pub colors: bool,
+}
+
+impl Needs {
+    /// What `pack` asks for. O(materials).
+    pub fn of(pack: &Pack) -> Self {
+        let (mesh, materials) = (pack.mesh(), pack.materials());
+        Self {
+            holes: materials.iter().any(|m| m.flags & MaterialFlags::ALPHA_MASK != 0),
+            hidden_backs: materials.iter().any(hides_its_back),
+            see_through: materials.iter().any(lets_light_through),
+            normals: mesh.has_normals(),
+            uvs: mesh.has_uvs() && materials.iter().any(is_textured),
+            colors: mesh.has_colors(),
+        }
+    }
+
+    /// The same and `forced` besides. Whatever a pack holds, what it does not need changes no pixel: tests that every hit passes, normals
+    /// that are not there, coordinates that no texture reads, a colour that is white.
+    fn with(self, forced: Self, pack: &Pack) -> Self {
+        // A texture without coordinates is not shown; with them it would be.
+        let may_look_up = pack.mesh().has_uvs() || !pack.materials().iter().any(is_textured);
+        Self {
+            holes: self.holes || forced.holes,
+            hidden_backs: self.hidden_backs || forced.hidden_backs,
+            see_through: self.see_through || forced.see_through,
+            normals: self.normals || forced.normals,
+            uvs: self.uvs || (forced.uvs && may_look_up),
+            colors: self.colors || forced.colors,
+        }
+    }
 }
 
 impl<'a> Renderer<'a> {
@@ -48,6 +80,12 @@ impl<'a> Renderer<'a> {
 
     /// Prepares `pack`, to be traced by `kernel`; the pixels are the same with each.
     pub fn with_kernel(pack: &'a Pack, kernel: Kernel) -> Self {
+        Self::with_forced(pack, kernel, Needs::default())
+    }
+
+    /// The same with parts of the kernel forced in that `pack` may not need: the twin by which leaving them out is measured and tested. The
+    /// pixels are the same.
+    pub fn with_forced(pack: &'a Pack, kernel: Kernel, forced: Needs) -> Self {
         let (mesh, materials) = (pack.mesh(), pack.materials());
         let images = Images::new(pack.textures(), pack.texels());
         Self {
@@ -57,14 +95,7 @@ impl<'a> Renderer<'a> {
             ambient: pack.ambient().radiance.into(),
             backdrop: Backdrop::new(pack.environment(), images),
             step: pack.frame().step,
-            needs: Needs {
-                holes: materials.iter().any(|m| m.flags & MaterialFlags::ALPHA_MASK != 0),
-                hidden_backs: materials.iter().any(hides_its_back),
-                see_through: materials.iter().any(lets_light_through),
-                normals: mesh.has_normals(),
-                uvs: mesh.has_uvs() && materials.iter().any(is_textured),
-                colors: mesh.has_colors(),
-            },
+            needs: Needs::of(pack).with(forced, pack),
             kernel,
             pack,
             materials,
@@ -137,11 +168,11 @@ impl<'a> Renderer<'a> {
         a * (1.0 - hit.b1 - hit.b2) + b * hit.b1 + c * hit.b2
     }
 
-    /// The interpolated linear vertex colour.
+    /// The interpolated linear vertex colour; by differences, so that one colour at all corners is that colour everywhere, exactly: white
+    /// changes nothing, and opaque stays opaque for a mask whose cut-off is 1.
     pub(crate) fn color_at(&self, indices: [u32; 3], hit: &Hit) -> [f32; 4] {
         let [a, b, c] = indices.map(|v| self.mesh.color(v));
-        let b0 = 1.0 - hit.b1 - hit.b2;
-        std::array::from_fn(|k| a[k] * b0 + b[k] * hit.b1 + c[k] * hit.b2)
+        std::array::from_fn(|k| a[k] + (b[k] - a[k]) * hit.b1 + (c[k] - a[k]) * hit.b2)
     }
 }
 

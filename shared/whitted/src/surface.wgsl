@@ -107,9 +107,8 @@ fn color_at(indices: vec3<u32>, hit: Hit) -> vec4<f32> {
     let a = mesh_color(indices.x);
     let b = mesh_color(indices.y);
     let c = mesh_color(indices.z);
-    let b0 = 1.0 - hit.b1 - hit.b2;
-    let color = scaled(a.xyz, b0) + scaled(b.xyz, hit.b1) + scaled(c.xyz, hit.b2);
-    return vec4<f32>(color, times(a.w, b0) + times(b.w, hit.b1) + times(c.w, hit.b2));
+    let color = a.xyz + scaled(b.xyz - a.xyz, hit.b1) + scaled(c.xyz - a.xyz, hit.b2);
+    return vec4<f32>(color, a.w + times(b.w - a.w, hit.b1) + times(c.w - a.w, hit.b2));
 }
 
 /// The material at a hit.

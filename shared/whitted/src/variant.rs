@@ -1,6 +1,6 @@
 //! Which kernel a scene needs: everything that it does not use is left out of the text that a GPU compiles.
 
-use crate::scene::{hides_its_back, is_textured, lets_light_through};
+use crate::scene::Needs;
 use std::fmt::Write;
 use tessera_kdtree::node::{Node, Slot};
 use tessera_pack::device::VertexLayout;
@@ -33,21 +33,70 @@ pub struct Variant {
     pub glass: bool,
 }
 
+/// A part of a kernel that may be left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[allow(missing_docs, reason = "each is the field of `Variant` of its name")]
+pub enum Part {
+    Refs,
+    Normals,
+    Textures,
+    Colors,
+    Materials,
+    Holes,
+    HiddenBacks,
+    SeeThrough,
+    Mirrors,
+    Glass,
+}
+
+impl Part {
+    /// All of them.
+    pub const ALL: [Self; 10] = [
+        Self::Refs,
+        Self::Normals,
+        Self::Textures,
+        Self::Colors,
+        Self::Materials,
+        Self::Holes,
+        Self::HiddenBacks,
+        Self::SeeThrough,
+        Self::Mirrors,
+        Self::Glass,
+    ];
+
+    /// For people and reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Refs => "refs",
+            Self::Normals => "normals",
+            Self::Textures => "textures",
+            Self::Colors => "colors",
+            Self::Materials => "materials",
+            Self::Holes => "holes",
+            Self::HiddenBacks => "hidden-backs",
+            Self::SeeThrough => "see-through",
+            Self::Mirrors => "mirrors",
+            Self::Glass => "glass",
+        }
+    }
+}
+
 impl Variant {
     /// The least that renders `pack`. O(materials + slots).
     pub fn of(pack: &Pack) -> Self {
-        let (mesh, materials) = (pack.mesh(), pack.materials());
+        let materials = pack.materials();
+        let Needs { holes, hidden_backs, see_through, normals, uvs, colors } = Needs::of(pack);
         let unlit = |m: &Material| m.flags & MaterialFlags::UNLIT != 0;
         Self {
             layout: VertexLayout::of(pack),
             refs: has_refs(pack),
-            normals: mesh.has_normals(),
-            textures: mesh.has_uvs() && materials.iter().any(is_textured),
-            colors: mesh.has_colors(),
+            normals,
+            textures: uvs,
+            colors,
             materials: pack.material_run_count() > 1,
-            holes: materials.iter().any(|m| m.flags & MaterialFlags::ALPHA_MASK != 0),
-            hidden_backs: materials.iter().any(hides_its_back),
-            see_through: materials.iter().any(lets_light_through),
+            holes,
+            hidden_backs,
+            see_through,
             // Gloss begins below a roughness of one half, which a texture can lower.
             mirrors: materials
                 .iter()
@@ -58,16 +107,38 @@ impl Variant {
 
     /// The kernel that leaves nothing out but what the pack has no data for: the twin by which leaving out is measured.
     pub fn everything(pack: &Pack) -> Self {
-        let least = Self::of(pack);
-        Self {
-            refs: true,
-            materials: true,
-            holes: true,
-            hidden_backs: true,
-            see_through: true,
-            mirrors: true,
-            glass: true,
-            ..least
+        Part::ALL.into_iter().fold(Self::of(pack), Self::with)
+    }
+
+    /// The same with `part` in it, as far as that needs no data: normals, textures and colours come with a pack that has them (see
+    /// [`tessera_pack::Forced`]). The picture is the same.
+    #[must_use]
+    pub fn with(self, part: Part) -> Self {
+        match part {
+            Part::Refs => Self { refs: true, ..self },
+            Part::Materials => Self { materials: true, ..self },
+            Part::Holes => Self { holes: true, ..self },
+            Part::HiddenBacks => Self { hidden_backs: true, ..self },
+            Part::SeeThrough => Self { see_through: true, ..self },
+            Part::Mirrors => Self { mirrors: true, ..self },
+            Part::Glass => Self { glass: true, ..self },
+            Part::Normals | Part::Textures | Part::Colors => self,
+        }
+    }
+
+    /// Whether `part` is in it.
+    pub fn has(&self, part: Part) -> bool {
+        match part {
+            Part::Refs => self.refs,
+            Part::Normals => self.normals,
+            Part::Textures => self.textures,
+            Part::Colors => self.colors,
+            Part::Materials => self.materials,
+            Part::Holes => self.holes,
+            Part::HiddenBacks => self.hidden_backs,
+            Part::SeeThrough => self.see_through,
+            Part::Mirrors => self.mirrors,
+            Part::Glass => self.glass,
         }
     }
 
@@ -120,18 +191,7 @@ impl Variant {
 
     /// Every part that may be left out, and whether it is in.
     pub fn parts(&self) -> [(&'static str, bool); 10] {
-        [
-            ("refs", self.refs),
-            ("normals", self.normals),
-            ("textures", self.textures),
-            ("colors", self.colors),
-            ("materials", self.materials),
-            ("holes", self.holes),
-            ("hidden-backs", self.hidden_backs),
-            ("see-through", self.see_through),
-            ("mirrors", self.mirrors),
-            ("glass", self.glass),
-        ]
+        Part::ALL.map(|part| (part.name(), self.has(part)))
     }
 
     /// The parts that are left out.

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 use tessera_geometry::{CameraPose, DVec3};
 use tessera_kdtree::Kernel;
 use tessera_pack::{Light, LightKind, Material, Pack, PackInput, PackOptions, build_pack};
+use tessera_whitted::Renderer;
 use tessera_wire::{
     Attempt, Camera, Features, Frame, FrameId, PackId, PixelFormat, Rays, Rect, ReturnMode, TileId,
 };
@@ -125,8 +126,9 @@ fn count(rays: &Rays) -> u64 {
 /// Rays a second of all cores.
 pub(super) fn cpu(kernel: Kernel) -> u64 {
     let Some(pack) = scene() else { return 1 };
+    let renderer = Renderer::with_kernel(&pack, kernel);
     let measured = speed(&pack, LONG_ENOUGH, |task| {
-        let rendered = cpu::render(&pack, kernel, &task.frame, task.rect, &AtomicBool::new(false));
+        let rendered = cpu::render(&renderer, &task.frame, task.rect, &AtomicBool::new(false));
         Ok::<_, std::convert::Infallible>(rendered.map_or(0, |(_, rays)| count(&rays)))
     });
     match measured {
@@ -165,7 +167,7 @@ mod tests {
         let pack = scene().expect("it packs");
         let task = task(&pack, 64).expect("a usable pose");
         let (pixels, rays) =
-            cpu::render(&pack, Kernel::auto(), &task.frame, task.rect, &AtomicBool::new(false))
+            cpu::render(&Renderer::new(&pack), &task.frame, task.rect, &AtomicBool::new(false))
                 .expect("not stopped");
         assert_eq!((pixels.len(), rays.primary), (64 * 64 * 4, 64 * 64));
         assert!(rays.shadow > 1000 && rays.reflection > 500, "{rays:?}");

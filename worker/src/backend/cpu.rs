@@ -4,8 +4,6 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tessera_geometry::{LocalCamera, Vec3};
-use tessera_kdtree::Kernel;
-use tessera_pack::Pack;
 use tessera_whitted::adaptive::{AdaptiveTile, BLOCK_SIDE, Round};
 use tessera_whitted::{self as whitted, FrameParams, PixelBlock, RayCounts, Renderer};
 use tessera_wire::{Adaptive, Frame, PixelFormat, Rays, Rect, Sampler};
@@ -25,11 +23,10 @@ const BLOCK_PIXELS: u32 = 256;
 /// thread looks whether its work is still wanted, so that with 65,536 samples a pixel it stops within a second.
 const LEAST_BLOCK_PIXELS: u32 = 8;
 
-/// Renders `rect` of `frame` with the threads of the current rayon pool: pixels in the frame's format, and
+/// Renders `rect` of `frame`, which is of the renderer's pack, with the threads of the current rayon pool: pixels in the frame's format, and
 /// the rays traced. `None` when `stop` was set meanwhile.
 pub(crate) fn render(
-    pack: &Pack,
-    kernel: Kernel,
+    renderer: &Renderer<'_>,
     frame: &Frame,
     rect: Rect,
     stop: &AtomicBool,
@@ -38,11 +35,10 @@ pub(crate) fn render(
     let pixel_bytes = params.format.bytes_per_pixel();
     // `Frame::check` bounds a tile's bytes by `limits::TILE_BYTES`.
     let mut pixels = vec![0; rect.width as usize * rect.height as usize * pixel_bytes];
-    let renderer = Renderer::with_kernel(pack, kernel);
     let block_pixels = (BLOCK_PIXELS / frame.samples.max(1)).max(LEAST_BLOCK_PIXELS);
     let Rect { x, y, width, height } = rect;
     let counts = match AdaptiveTile::new(&params, PixelBlock { x, y, width, height }) {
-        Some(tile) => render_adaptive(&renderer, &params, tile, rect, &mut pixels, stop),
+        Some(tile) => render_adaptive(renderer, &params, tile, rect, &mut pixels, stop),
         None => in_parallel(split(rect, block_pixels, pixel_bytes, &mut pixels), stop, |(block, out)| {
             ((), renderer.render_block(&params, block, out))
         })

@@ -14,7 +14,7 @@ use std::time::Duration;
 use tessera_master::prepare::{PrepareOptions, choose_camera, prepare_scene};
 use tessera_master::{Balance, Difference, FrameBuffer, FrameJob, PixelFormat};
 use tessera_pack::{Pack, Plain};
-use tessera_scene::Scene;
+use tessera_scene::{Camera, Scene};
 use tessera_whitted::variant::Variant;
 use tessera_wire::{Features, Frame, FrameId, limits};
 use tessera_worker::Kernel;
@@ -229,28 +229,38 @@ fn pack(
     options.tree.max_refs = refs;
     let prepared = prepare_scene(scene, &options, Duration::ZERO).map_err(CommandError::failed)?;
     let pack = prepared.pack;
-    let pose = choose_camera(&prepared.cameras, None).map_err(CommandError::Usage)?.pose;
-    let Size { width, height } = args.size;
-    let camera = pose.to_local(&pack.frame(), width, height).map_err(CommandError::usage)?;
+    let whole = whole_frame(&pack, &prepared.cameras, args.size, args.depth, Features::default())?;
+    let nothing = Features { shadows: false, reflection: false, refraction: false };
+    let primary = Frame { depth: 0, features: nothing, ..whole };
+    Ok(Packed { packing, pack, whole, primary })
+}
+
+/// A frame of `pack` that is rendered in one tile: one sample a pixel, from the first of `cameras`.
+pub(in crate::commands) fn whole_frame(
+    pack: &Pack,
+    cameras: &[Camera],
+    Size { width, height }: Size,
+    depth: u32,
+    features: Features,
+) -> Result<Frame, CommandError> {
+    let pose = choose_camera(cameras, None).map_err(CommandError::Usage)?.pose;
     let job = FrameJob {
-        camera,
+        camera: pose.to_local(&pack.frame(), width, height).map_err(CommandError::usage)?,
         width,
         height,
         tile: width.max(height),
         samples: 1,
         sampling: Default::default(),
-        depth: args.depth,
+        depth,
         seed: 0,
-        features: Features::default(),
+        features,
         format: PixelFormat::Rgba8,
         balance: Balance::default(),
         mix: false,
     };
     let whole = job.to_wire(FrameId(1), tessera_wire::PackId(pack.id().0));
     whole.check().map_err(CommandError::usage)?;
-    let nothing = Features { shadows: false, reflection: false, refraction: false };
-    let primary = Frame { depth: 0, features: nothing, ..whole };
-    Ok(Packed { packing, pack, whole, primary })
+    Ok(whole)
 }
 
 /// Uploads each pack for each kernel that it is rendered with, and compiles that.

@@ -1,12 +1,12 @@
 //! `tessera bench`: measurements that anyone can repeat, of rays and trees on meshes without attributes, of packing and GPUs on scenes.
 
 mod build;
-mod clock;
+pub(super) mod clock;
 mod generate;
-mod gpu;
+pub(super) mod gpu;
 mod gpu_lines;
 mod hash;
-mod measure;
+pub(super) mod measure;
 mod memory;
 mod mesh;
 mod obvhs;
@@ -56,7 +56,7 @@ fn load(source: &MeshSource, progress: &Progress) -> Result<Mesh, CommandError> 
 }
 
 /// A bundle holds what was packed, and the benches want to pack.
-fn refuse_bundle(path: &Path) -> Result<(), CommandError> {
+pub(super) fn refuse_bundle(path: &Path) -> Result<(), CommandError> {
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tpack")) {
         return Err(CommandError::Usage(format!(
             "{}: a bundle holds no exact mesh to measure; name the scene that it was packed from",

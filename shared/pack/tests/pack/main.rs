@@ -2,5 +2,6 @@
 
 mod bytes;
 mod edges;
+mod left_out;
 mod round_trip;
 mod support;

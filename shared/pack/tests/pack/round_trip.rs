@@ -225,6 +225,8 @@ fn one_picture_sampled_in_two_ways_is_held_once() {
     // The same texels again, but a picture of its own.
     let copy = ImageInput { rgba: input.textures[0].rgba.to_vec().into(), ..other.clone() };
     input.textures.extend([other, copy]);
+    // All are in use.
+    (input.materials[1].base_texture, input.materials[0].metallic_roughness_texture) = (2, 3);
     let (pack, _) = build_pack(input, &PackOptions::default()).expect("a sound scene");
     let places: Vec<u32> = pack.textures().iter().map(|t| t.first_texel).collect();
     assert_eq!(places, [0, 8, 0, 23]);

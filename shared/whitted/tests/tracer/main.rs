@@ -4,6 +4,7 @@ mod adaptive;
 mod energy;
 mod frames;
 mod hard;
+mod left_out;
 mod lights;
 mod probes;
 mod refraction;

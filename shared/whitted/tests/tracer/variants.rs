@@ -2,7 +2,7 @@
 
 use crate::support::*;
 use tessera_pack::{ImageInput, Material, MaterialFlags, Pack, PackOptions, Plain, build_pack};
-use tessera_whitted::variant::Variant;
+use tessera_whitted::variant::{Part, Variant};
 
 /// A pack of one triangle and a material, after `change`.
 fn pack(change: impl FnOnce(&mut Stage)) -> Pack {
@@ -34,6 +34,12 @@ fn check(pack: &Pack, parts: &[&str]) {
         assert_eq!(is_on, !is_data || on.contains(&part), "{part}");
     }
     assert_eq!(everything.layout, variant.layout);
+    for part in Part::ALL {
+        let with = variant.with(part);
+        let more: Vec<_> = Part::ALL.into_iter().filter(|&p| with.has(p) && !variant.has(p)).collect();
+        assert_eq!(more.is_empty(), variant.has(part) || !everything.has(part), "{}", part.name());
+        assert!(more.iter().all(|&p| p == part), "{}", part.name());
+    }
 }
 
 #[test]
@@ -46,10 +52,16 @@ fn materials_decide_about_holes_sides_light_mirrors_and_glass() {
     let flags = MaterialFlags::DOUBLE_SIDED;
     let rough = |roughness| Material { roughness, ..chalk() };
     let clear = Material { transmission: 0.5, ..chalk() };
-    let cases: [(Material, &[&str]); 11] = [
-        (Material { flags: flags | MaterialFlags::ALPHA_MASK, ..chalk() }, &["holes"]),
+    let half =
+        |bit| Material { base_color: [1.0, 1.0, 1.0, 0.5], alpha_cutoff: 0.6, flags: flags | bit, ..chalk() };
+    let whole = |bit| Material { flags: flags | bit, ..chalk() };
+    let cases: [(Material, &[&str]); 13] = [
+        (half(MaterialFlags::ALPHA_MASK), &["holes"]),
+        // Opaque everywhere.
+        (whole(MaterialFlags::ALPHA_MASK), &[]),
+        (whole(MaterialFlags::ALPHA_BLEND), &[]),
         (one_sided(chalk()), &["hidden-backs"]),
-        (Material { flags: flags | MaterialFlags::ALPHA_BLEND, ..chalk() }, &["see-through"]),
+        (half(MaterialFlags::ALPHA_BLEND), &["see-through"]),
         (mirror(0.9), &["mirrors"]),
         (rough(0.5), &[]),
         (rough(0.49), &["mirrors"]),

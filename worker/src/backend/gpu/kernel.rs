@@ -6,7 +6,7 @@ use std::fmt::Write;
 use tessera_geometry::wgsl as geometry;
 use tessera_kdtree::wgsl as kdtree;
 use tessera_whitted::device as whitted;
-use tessera_whitted::variant::Variant;
+use tessera_whitted::variant::{Part, Variant};
 use wgpu::{
     BindGroupLayout, BindGroupLayoutDescriptor, BindGroupLayoutEntry, BindingType, BufferBindingType,
     ComputePipeline, ComputePipelineDescriptor, PipelineLayoutDescriptor, ShaderModuleDescriptor,
@@ -48,13 +48,15 @@ pub struct GpuOptions {
     pub f64: bool,
     /// Leave out what the scene does not need.
     pub lean: bool,
+    /// Put this part in though the scene does not need it.
+    pub forced: Option<Part>,
     /// Take it that a binding holds no more bytes than these, whatever the device says: so tests have small scenes split over several.
     pub binding_bytes_max: Option<u64>,
 }
 
 impl Default for GpuOptions {
     fn default() -> Self {
-        Self { form: TraversalForm::default(), f64: true, lean: true, binding_bytes_max: None }
+        Self { form: TraversalForm::default(), f64: true, lean: true, forced: None, binding_bytes_max: None }
     }
 }
 

@@ -35,7 +35,7 @@ pub use policy::TestPolicy;
 pub(crate) use scene::GpuScene;
 
 /// Version of the kernels, part of the numeric class: raise it with every change of a result.
-pub(crate) const KERNEL_VERSION: u32 = 1;
+pub(crate) const KERNEL_VERSION: u32 = 2;
 
 /// Why a GPU did not do what was asked.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -13,8 +13,8 @@ use std::time::Duration;
 use tessera_geometry::{Hit, Ray};
 use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
-use tessera_whitted::FrameParams;
 use tessera_whitted::device::{FrameInfo, state_quads};
+use tessera_whitted::{FrameParams, Needs, Renderer};
 use wgpu::{BindGroup, Buffer, BufferUsages, MapMode};
 
 /// An opened GPU that answers for single rays.
@@ -267,9 +267,20 @@ impl<'a> Run<'a> {
 
 /// The same as [`ProbedScene::frame`] on the CPU, by the threads of the current rayon pool.
 pub fn cpu_frame(pack: &Pack, kernel: Kernel, frame: &tessera_wire::Frame) -> (Vec<u8>, tessera_wire::Rays) {
+    cpu_frame_with(pack, kernel, Needs::default(), frame)
+}
+
+/// [`cpu_frame`] with parts of the kernel forced in that `pack` may not need; the pixels are the same.
+pub fn cpu_frame_with(
+    pack: &Pack,
+    kernel: Kernel,
+    forced: Needs,
+    frame: &tessera_wire::Frame,
+) -> (Vec<u8>, tessera_wire::Rays) {
     let rect = tessera_wire::Rect { x: 0, y: 0, width: frame.width, height: frame.height };
     // It is never stopped.
-    cpu::render(pack, kernel, frame, rect, &AtomicBool::new(false)).unwrap_or_default()
+    let renderer = Renderer::with_forced(pack, kernel, forced);
+    cpu::render(&renderer, frame, rect, &AtomicBool::new(false)).unwrap_or_default()
 }
 
 /// An end of a ray as kernels take it: 'without end' is the largest number; before what is no number, nothing is hit.

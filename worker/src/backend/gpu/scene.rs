@@ -70,7 +70,8 @@ impl GpuScene {
             gpu.device().create_buffer(&descriptor)
         })?;
         gpu.queue().write_buffer(&info, 0, bytes_of(&SceneInfo::of(pack, &words)));
-        let variant = if options.lean { Variant::of(pack) } else { Variant::everything(pack) };
+        let least = if options.lean { Variant::of(pack) } else { Variant::everything(pack) };
+        let variant = options.forced.map_or(least, |part| least.with(part));
         tracing::debug!(
             "the GPU holds {} bytes of the scene after {:.1?}, kernel {}",
             slot_bytes + word_bytes,
