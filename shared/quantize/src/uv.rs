@@ -9,6 +9,8 @@
 //! the copies have one position and one normal code, so the mesh stays watertight. A triangle that fits under no shift keeps its
 //! corners as `f32` in a side table. Nothing is ever wrapped silently.
 
+use tessera_geometry::mutation::{Mutation, is_on, unless};
+
 /// Largest texture coordinate accepted: beyond it an `f32` keeps only the first bit of the fraction.
 pub const MAX_UV: f32 = 4_194_304.0;
 
@@ -161,7 +163,7 @@ impl Shifts {
         if rule == WrapRule::Fixed {
             return (low >= 0.0 && high <= 2.0).then_some(Self { low: 0, high: 0, even: false });
         }
-        let even = rule == WrapRule::Even;
+        let even = rule == WrapRule::Even && !is_on(Mutation::MirrorShift);
         let greatest = low.floor() as i32;
         let greatest = if even { greatest & !1 } else { greatest };
         let least = (high - PACKED_MAX).ceil() as i32;
@@ -346,5 +348,6 @@ impl Variants {
 /// `x` in [0, 2] in units of 2^-15; 2 becomes 65,535.
 fn pack(x: f64) -> u16 {
     // `as` saturates at both ends.
-    (x * 32_768.0).round() as u16
+    let units = x * 32_768.0;
+    unless(Mutation::UvTruncated, units.round(), units.floor()) as u16
 }

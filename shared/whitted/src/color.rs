@@ -1,5 +1,7 @@
 //! sRGB codes of linear light (IEC 61966-2-1), by the `libm` crate. The way back is `tessera_pack::color`'s table.
 
+use tessera_geometry::mutation::{Mutation, unless};
+
 /// The code in `0..=max_code` nearest to `linear`, which is clamped to [0, 1] first; NaN becomes 0.
 ///
 /// The curve is evaluated in `f64` with an error below 1e-14, so that a code is the nearest one unless the exact
@@ -16,7 +18,7 @@ pub(crate) fn encode_linear(value: f32, max_code: f64) -> u16 {
 
 /// The cast takes NaN to 0.
 fn encode_unit(value: f64, max_code: f64) -> u16 {
-    (value * max_code + 0.5) as u16
+    (value * max_code + unless(Mutation::CodesTruncated, 0.5, 0.0)) as u16
 }
 
 /// The sRGB-coded value of linear light, both in [0, 1].

@@ -30,6 +30,7 @@
 //! as many columns, the variance is `n^-3/2 (Var g + Var h) / 12`. Of a sum of functions of x and of y alone it is `n^-3`.
 
 use tessera_geometry::Vec2;
+use tessera_geometry::mutation::{Mutation, is_on};
 
 /// Where the samples of a pixel lie; the head of this file has sources and rates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -75,6 +76,9 @@ fn jittered(index: u32, count: u32, seed: u32) -> Vec2 {
     // Jitter inside the substratum.
     let jx = unit_float(pcg(s ^ seed.wrapping_mul(0x967a_889b)));
     let jy = unit_float(pcg(s ^ seed.wrapping_mul(0x368c_c8b7)));
+    if is_on(Mutation::Unstratified) {
+        return Vec2::new(jx, jy);
+    }
     Vec2::new((sx as f32 + (sy as f32 + jx) / rows as f32) / columns as f32, (s as f32 + jy) / count as f32)
 }
 
