@@ -38,7 +38,8 @@ pub struct FrameJob {
 impl FrameJob {
     /// The job as a message.
     pub fn to_wire(&self, frame: FrameId, pack: tessera_wire::PackId) -> Frame {
-        let Self { camera, width, height, tile, samples, sampling, depth, seed, features, format, .. } = *self;
+        let Self { camera, width, height, tile, samples, sampling, depth, seed, features, format, .. } =
+            *self;
         let camera = Camera {
             origin: camera.origin.to_array(),
             forward: camera.forward.to_array(),
@@ -73,7 +74,8 @@ impl FrameJob {
 
     /// The job of a client.
     pub(crate) fn from_wire(frame: &Frame, balance: Balance, mix: bool) -> Self {
-        let Frame { camera, width, height, tile, samples, sampling, depth, seed, features, format, .. } = *frame;
+        let Frame { camera, width, height, tile, samples, sampling, depth, seed, features, format, .. } =
+            *frame;
         let camera = LocalCamera {
             origin: Vec3::from_array(camera.origin),
             forward: Vec3::from_array(camera.forward),

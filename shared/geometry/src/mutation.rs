@@ -67,6 +67,7 @@ mutations! {
     DepthOffByOne "depth-off-by-one" "paths go one surface too deep"
     ShadowsIgnoreAlpha "shadows-ignore-alpha" "shadow rays stop at what blends"
     Unstratified "unstratified" "samples are independent of each other"
+    SobolFlat "sobol-flat" "the second dimension of Sobol's sequence is the first again"
     CodesTruncated "codes-truncated" "colour codes are truncated instead of rounded"
     GpuEdgesExclusive "gpu-edges-exclusive" "edges-exclusive, in the GPU's text"
     GpuSwappedChildren "gpu-swapped-children" "swapped-children, in the GPU's text"

@@ -89,7 +89,8 @@ impl AdaptiveTile {
         let block = |column: u32, row: u32| {
             let (x, y) = (column * BLOCK_SIDE, row * BLOCK_SIDE);
             // (A rectangle beyond the image is nobody's; its blocks are whole.)
-            let side = |at: u32, length: u32| if at < length { BLOCK_SIDE.min(length - at) } else { BLOCK_SIDE };
+            let side =
+                |at: u32, length: u32| if at < length { BLOCK_SIDE.min(length - at) } else { BLOCK_SIDE };
             let rect = PixelBlock { x, y, width: side(x, params.width), height: side(y, params.height) };
             Block { rect, taken: 0, is_done: false, total: Vec::new(), round: Vec::new() }
         };
@@ -101,7 +102,8 @@ impl AdaptiveTile {
             samples: params.samples,
             columns: end[0] - first[0],
             first,
-            blocks: rows.flat_map(|row| (first[0]..end[0]).map(move |column| (column, row)))
+            blocks: rows
+                .flat_map(|row| (first[0]..end[0]).map(move |column| (column, row)))
                 .map(|(column, row)| block(column, row))
                 .collect(),
         })
@@ -194,7 +196,9 @@ impl Block {
         let bytes = format.bytes_per_pixel();
         let rows = (self.rect.y..).zip(self.total.chunks_exact(self.rect.width as usize));
         for (y, row) in rows.filter(|(y, _)| (tile.y..tile.y + tile.height).contains(y)) {
-            for (x, sum) in (self.rect.x..).zip(row).filter(|(x, _)| (tile.x..tile.x + tile.width).contains(x)) {
+            for (x, sum) in
+                (self.rect.x..).zip(row).filter(|(x, _)| (tile.x..tile.x + tile.width).contains(x))
+            {
                 let [r, g, b, alpha] = sum.map(|v| v * share);
                 let out = &mut out[tile.place(x, y) * bytes..][..bytes];
                 write_codes([r, g, b].into(), alpha, format, out);

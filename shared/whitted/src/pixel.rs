@@ -82,7 +82,8 @@ impl Renderer<'_> {
                 break;
             }
             for round in work {
-                let rays = self.sum_samples(params, round.rect, round.samples, |x, y, sum| tile.put(x, y, sum));
+                let rays =
+                    self.sum_samples(params, round.rect, round.samples, |x, y, sum| tile.put(x, y, sum));
                 counts += rays;
             }
             tile.end_round(out);
@@ -120,7 +121,8 @@ impl Renderer<'_> {
     pub fn write_surfaces(&self, params: &FrameParams, block: PixelBlock, out: &mut [u8]) -> RayCounts {
         let mut counts = RayCounts::default();
         let pixels = (0..block.height).flat_map(|row| (0..block.width).map(move |column| (column, row)));
-        for ((column, row), bytes) in pixels.zip(out.chunks_exact_mut(PixelFormat::Layers.bytes_per_pixel())) {
+        for ((column, row), bytes) in pixels.zip(out.chunks_exact_mut(PixelFormat::Layers.bytes_per_pixel()))
+        {
             let ray = ray_through(params, block.x + column, block.y + row, Vec2::splat(0.5));
             counts.primary += 1;
             write_words(&mut bytes[SURFACE..], surface_layers(self, first_seen(self, &ray).as_ref()));
@@ -128,7 +130,6 @@ impl Renderer<'_> {
         counts
     }
 }
-
 
 /// The ray from the eye through a place in the pixel `(x, y)`.
 pub(crate) fn ray_through(params: &FrameParams, x: u32, y: u32, offset: Vec2) -> Ray {
@@ -214,7 +215,12 @@ fn sum_of_packet(
     for index in samples {
         let rays = std::array::from_fn(|lane| {
             let (x, y) = packet.pixel(lane);
-            ray_through(params, x, y, params.sampling.sampler.offset_in_pixel(index, params.samples, seeds[lane]))
+            ray_through(
+                params,
+                x,
+                y,
+                params.sampling.sampler.offset_in_pixel(index, params.samples, seeds[lane]),
+            )
         });
         let seen = trace(scene, params, &rays, packet.lanes, stack, counts);
         for (sum, seen) in sums.iter_mut().zip(seen) {

@@ -30,7 +30,7 @@
 //! as many columns, the variance is `n^-3/2 (Var g + Var h) / 12`. Of a sum of functions of x and of y alone it is `n^-3`.
 
 use tessera_geometry::Vec2;
-use tessera_geometry::mutation::{Mutation, is_on};
+use tessera_geometry::mutation::{Mutation, is_on, unless};
 
 /// Where the samples of a pixel lie; the head of this file has sources and rates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -85,7 +85,8 @@ fn jittered(index: u32, count: u32, seed: u32) -> Vec2 {
 /// Sample `index` of the scrambled sequence, in units of 2^-32.
 fn low_discrepancy(index: u32, seed: u32) -> [u32; 2] {
     let x = scramble(index, pcg(seed ^ 0x68bc_21eb));
-    let y = scramble(second_dimension(index), pcg(seed ^ 0x02e5_be93));
+    let second = unless(Mutation::SobolFlat, second_dimension(index), index);
+    let y = scramble(second, pcg(seed ^ 0x02e5_be93));
     [x.reverse_bits(), y.reverse_bits()]
 }
 
@@ -227,10 +228,13 @@ mod tests {
     #[test]
     fn scrambling_keeps_common_first_bits() {
         for seed in (0..50).map(|i| pixel_seed(3, i, i)) {
-            for (a, b) in (0..200u32).map(|i| (pcg(i), pcg(i ^ 0x5555))).chain([(0, 1), (6, 7), (0, u32::MAX)]) {
+            for (a, b) in
+                (0..200u32).map(|i| (pcg(i), pcg(i ^ 0x5555))).chain([(0, 1), (6, 7), (0, u32::MAX)])
+            {
                 for common in 0..32 {
                     // The first bits lie lowest.
-                    let b = (a ^ 1 << common) & ((2u32 << common).wrapping_sub(1)) | b & !(2u32 << common).wrapping_sub(1);
+                    let b = (a ^ 1 << common) & ((2u32 << common).wrapping_sub(1))
+                        | b & !(2u32 << common).wrapping_sub(1);
                     let apart = scramble(a, seed) ^ scramble(b, seed);
                     assert_eq!(apart.trailing_zeros(), common, "{a:x}, {b:x}");
                 }
@@ -272,9 +276,13 @@ mod tests {
             let at = |index, frame, x, y| sampler.offset_in_pixel(index, 16, pixel_seed(frame, x, y));
             let base = at(3, 1, 10, 20);
             assert_eq!(base, at(3, 1, 10, 20));
-            for other in
-                [at(4, 1, 10, 20), at(3, 2, 10, 20), at(3, 1 << 32 | 1, 10, 20), at(3, 1, 11, 20), at(3, 1, 20, 10)]
-            {
+            for other in [
+                at(4, 1, 10, 20),
+                at(3, 2, 10, 20),
+                at(3, 1 << 32 | 1, 10, 20),
+                at(3, 1, 11, 20),
+                at(3, 1, 20, 10),
+            ] {
                 assert_ne!(base, other);
             }
         }

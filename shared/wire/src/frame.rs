@@ -95,7 +95,9 @@ impl Sampling {
             return Err(FrameError::Cutoff(self.cutoff));
         }
         match self.adaptive {
-            Some(Adaptive { error }) if !(error > 0.0 && error <= 1.0) => Err(FrameError::AdaptiveError(error)),
+            Some(Adaptive { error }) if !(error > 0.0 && error <= 1.0) => {
+                Err(FrameError::AdaptiveError(error))
+            }
             Some(_) if !tile.is_multiple_of(Adaptive::BLOCK) => Err(FrameError::TileBlocks(tile)),
             _ => Ok(()),
         }

@@ -29,9 +29,7 @@ pub use client::{
     ClassSummary, DifferenceSummary, FrameFailure, FrameSummary, FromClient, ToClient, WorkerSummary,
 };
 pub use error::{AbortCode, PackRefusal, Refusal, plain_text};
-pub use frame::{
-    Adaptive, Camera, Features, Frame, FrameError, PixelFormat, ReturnMode, Sampler, Sampling,
-};
+pub use frame::{Adaptive, Camera, Features, Frame, FrameError, PixelFormat, ReturnMode, Sampler, Sampling};
 pub use grid::{Rect, TileGrid};
 pub use ids::{Attempt, FrameId, PackId, TileId, WorkerId};
 pub use join::{Fingerprint, JoinString, JoinStringError, Token};

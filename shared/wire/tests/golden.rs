@@ -54,7 +54,8 @@ const HELLO_V2: &str =
     "0001025c5c5c5c5c5c5c5c5c5c5c5c5c5c5c5c02773000fd00000000020000000803637075056370752d31";
 
 /// And one of version 3, whose `Hello` is that of version 4.
-const HELLO_V3: &str = "0001035c5c5c5c5c5c5c5c5c5c5c5c5c5c5c5c02773000fd00000000020000000803637075056370752d31fc404b4c00016e";
+const HELLO_V3: &str =
+    "0001035c5c5c5c5c5c5c5c5c5c5c5c5c5c5c5c02773000fd00000000020000000803637075056370752d31fc404b4c00016e";
 
 fn bytes(hexadecimal: &str) -> Vec<u8> {
     let pairs = hexadecimal.as_bytes().chunks(2).map(|pair| std::str::from_utf8(pair).expect("ASCII"));

@@ -60,9 +60,12 @@ fn decode_as_everything(body: &[u8]) {
 /// A frame whose numbers are any at all is judged without a panic, and what passes is within its ranges.
 #[test]
 fn samplings_out_of_range_are_refused() {
-    let numbers = [f32::NAN, f32::INFINITY, -f32::INFINITY, -1.0, -0.0, f32::MIN_POSITIVE, 0.5, 1.0, 1.0f32.next_up()];
+    let numbers =
+        [f32::NAN, f32::INFINITY, -f32::INFINITY, -1.0, -0.0, f32::MIN_POSITIVE, 0.5, 1.0, 1.0f32.next_up()];
     for (cutoff, error) in numbers.into_iter().flat_map(|a| numbers.map(|b| (a, b))) {
-        for (tile, adaptive) in [(0, None), (48, Some(Adaptive { error })), (50, Some(Adaptive { error })), (50, None)] {
+        for (tile, adaptive) in
+            [(0, None), (48, Some(Adaptive { error })), (50, Some(Adaptive { error })), (50, None)]
+        {
             let sampling = Sampling { cutoff, adaptive, ..Sampling::default() };
             let frame = Frame { tile, sampling, ..samples::frame() };
             let bytes = codec::encode(&ToWorker::Frame(frame)).unwrap();

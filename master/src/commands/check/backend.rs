@@ -8,7 +8,7 @@ use tessera_geometry::{Hit, Ray, Vec3};
 use tessera_master::{Balance, FrameJob, PixelFormat};
 use tessera_pack::{Pack, PackId};
 use tessera_whitted::stage::{Layers, View, decode};
-use tessera_wire::{Features, Frame, FrameId};
+use tessera_wire::{Features, Frame, FrameId, Sampling};
 use tessera_worker::gpu::GpuOptions;
 use tessera_worker::gpu::probe::{GpuProbe, ProbedScene, cpu_frame};
 use tessera_worker::{Kernel, NUMERIC_CLASS};
@@ -68,13 +68,14 @@ impl dyn Renders + '_ {
 
 /// What a view asks for, of the samples of this `seed`.
 pub fn frame_of(pack: &Pack, view: &View, format: PixelFormat, seed: u64) -> Result<Frame, String> {
-    let View { pose, width, height, samples, max_depth, features } = *view;
+    let View { pose, width, height, samples, max_depth, features, .. } = *view;
     let job = FrameJob {
         camera: pose.to_local(&pack.frame(), width, height).map_err(|e| e.to_string())?,
         width,
         height,
         tile: width.max(height),
         samples,
+        sampling: Sampling::default(),
         depth: max_depth,
         seed,
         features: Features {

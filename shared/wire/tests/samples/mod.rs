@@ -59,11 +59,8 @@ pub fn to_master() -> Vec<(&'static str, ToMaster)> {
 
 pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
     let abort = |code| ToWorker::Abort { code, detail: String::new() };
-    let adaptive = Sampling {
-        sampler: Sampler::LowDiscrepancy,
-        cutoff: 0.25,
-        adaptive: Some(Adaptive { error: 0.5 }),
-    };
+    let adaptive =
+        Sampling { sampler: Sampler::LowDiscrepancy, cutoff: 0.25, adaptive: Some(Adaptive { error: 0.5 }) };
     let tiles = vec![TileId(0), TileId(250), TileId(251), TileId(65_535)];
     vec![
         ("welcome", ToWorker::Welcome { version: 4, worker: WorkerId(3) }),

@@ -9,7 +9,7 @@ use tessera_master::{Balance, Cluster, ClusterConfig, FrameJob, PixelFormat, Pro
 use tessera_pack::Pack;
 use tessera_whitted::stage::look;
 use tessera_whitted::stage::stages::bazaar;
-use tessera_wire::{Features, FrameId};
+use tessera_wire::{Features, FrameId, Sampling};
 use tessera_worker::Kernel;
 use tessera_worker::gpu::probe::cpu_frame;
 
@@ -36,6 +36,7 @@ fn job(camera: LocalCamera, side: u32, tile: u32, balance: Balance) -> FrameJob 
         height: side,
         tile,
         samples: 1,
+        sampling: Sampling::default(),
         depth: 8,
         seed: 0,
         features: Features { shadows: true, reflection: true, refraction: true },

@@ -96,7 +96,17 @@ fn twins(f64: bool) -> BTreeMap<&'static str, u32> {
 pub(super) fn frame(features: Features, format: PixelFormat) -> FrameParams {
     let camera = LocalCamera { origin: Vec3::ZERO, forward: Vec3::Z, right: Vec3::X, up: Vec3::Y };
     let sampling = Sampling::default();
-    FrameParams { camera, width: 1, height: 1, samples: 1, sampling, max_depth: 1, frame: 0, features, format }
+    FrameParams {
+        camera,
+        width: 1,
+        height: 1,
+        samples: 1,
+        sampling,
+        max_depth: 1,
+        frame: 0,
+        features,
+        format,
+    }
 }
 
 /// The constants of a kernel's text.
