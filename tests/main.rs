@@ -7,6 +7,7 @@ use tessera_whitted::stage;
 mod backends;
 mod bad_input;
 mod bench;
+mod check;
 mod cli;
 mod cluster;
 mod corpora;

@@ -41,7 +41,7 @@ pub const CASES: &[Case] = &[
     Case {
         id: "sampler-product",
         input: "a product of both coordinates in them",
-        judge: "A: its middle; order 3/4",
+        judge: "A: its middle; order 3/4 or 3/2",
         run: Run::Once(product),
     },
 ];
