@@ -1,16 +1,13 @@
 //! Promises that are kept by the whole: the built binary, the prepared pack, the workspace's own rules.
 
-#[path = "../shared/kdtree/tests/common/mod.rs"]
-mod kinds;
+use tessera_kdtree::soup as kinds;
+use tessera_whitted::stage;
 
 #[cfg(target_os = "linux")]
 mod backends;
-#[path = "../shared/whitted/tests/tracer/support.rs"]
-#[allow(dead_code, reason = "the tracer's own tests use the rest")]
-mod stage;
-
 mod bad_input;
 mod bench;
+mod check;
 mod cli;
 mod cluster;
 mod corpora;

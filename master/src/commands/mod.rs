@@ -3,6 +3,7 @@
 mod args;
 mod backend;
 mod bench;
+mod check;
 mod compare;
 mod demo;
 mod doctor;
@@ -49,6 +50,7 @@ Examples:
   tessera scene info scene.glb                         what is in it, what is left out, how large it becomes
   tessera compare a.png b.png                          how far two pictures differ
   tessera doctor                                       what renders on this machine, and what is missing
+  tessera check --quick                                hard inputs, judged, on this machine
 
 Exit codes: 0 done, 1 the work failed, 2 wrong usage, 130 interrupted.";
 
@@ -100,6 +102,8 @@ pub enum Command {
     /// Measure rays and trees beside obvhs, packing, and a GPU beside the CPU
     #[command(subcommand)]
     Bench(bench::BenchCommand),
+    /// Check that hard inputs come out right on this machine
+    Check(check::CheckArgs),
     /// Say what renders here, how fast, and what is missing
     Doctor(doctor::DoctorArgs),
     /// Wait for workers from anywhere, and render for clients
@@ -115,7 +119,7 @@ impl Command {
             Self::Master(_) => true,
             Self::Worker(args) => !args.ticket,
             Self::Demo(_) | Self::Render(_) | Self::Scene(_) | Self::Compare(_) | Self::Bench(_) => false,
-            Self::Doctor(_) => false,
+            Self::Check(_) | Self::Doctor(_) => false,
         }
     }
 }
@@ -208,6 +212,7 @@ impl Cli {
             Command::Scene(SceneCommand::Pack(args)) => pack::run(args, &progress),
             Command::Compare(args) => compare::run(args),
             Command::Bench(command) => bench::run(command, &progress),
+            Command::Check(args) => check::run(&args, &progress),
             Command::Doctor(args) => doctor::run(&args, &progress),
             Command::Master(args) => master::run(args),
             Command::Worker(args) => worker::run(args),

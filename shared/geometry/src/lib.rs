@@ -8,6 +8,7 @@
 mod aabb;
 pub mod camera;
 pub mod frame;
+pub mod mutation;
 pub mod ray;
 pub mod rounding;
 mod srgb;

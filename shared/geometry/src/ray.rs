@@ -1,6 +1,7 @@
 //! A ray and what it hits.
 
 use crate::Vec3;
+use crate::mutation::{Mutation, is_on};
 
 /// A ray in local space; a hit counts when `t_min < t < t_max`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,7 +67,8 @@ impl Hit {
     /// Whether this hit is nearer than `other`; equal distances are decided by the smaller triangle id, so that the
     /// answer does not depend on the order in which triangles are tested.
     pub fn precedes(&self, other: &Hit) -> bool {
-        self.t < other.t || (self.t == other.t && self.triangle < other.triangle)
+        let is_first = (self.triangle < other.triangle) != is_on(Mutation::LargestId);
+        self.t < other.t || (self.t == other.t && is_first)
     }
 }
 

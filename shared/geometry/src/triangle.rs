@@ -14,6 +14,7 @@
 //! and [`intersect`] reports the distance `t` of a point *of the triangle* that it passes so closely: a traversal that
 //! visits every cell within the bound finds every hit, and finds it before it may stop.
 
+use crate::mutation::{Mutation, is_on};
 use crate::rounding::{UNIT_ROUNDOFF, gamma};
 use crate::{DVec3, Ray, Vec3};
 
@@ -92,7 +93,11 @@ pub fn intersect(ray: &Ray, shear: &RayShear, vertices: [Vec3; 3], t_max: f32) -
     }
 
     // Decide exactly when the origin is too close to an edge for f32.
-    if (sides[0] == 0.0) | (sides[1] == 0.0) | (sides[2] == 0.0) {
+    let is_close = (sides[0] == 0.0) | (sides[1] == 0.0) | (sides[2] == 0.0);
+    if is_close && is_on(Mutation::EdgesExclusive) {
+        return None;
+    }
+    if is_close && !is_on(Mutation::NoExactEdges) {
         let sides = [edge_exact(c, b), edge_exact(a, c), edge_exact(b, a)];
         if !is_inside(sides) || sides == [0.0; 3] {
             return None;
@@ -108,7 +113,8 @@ pub fn intersect(ray: &Ray, shear: &RayShear, vertices: [Vec3; 3], t_max: f32) -
 
     // Find the point that the ray passes.
     let crossing = locate(ray, shear.k, vertices)?;
-    (crossing.t > ray.t_min && crossing.t <= t_max).then_some(crossing)
+    let is_before_end = crossing.t < t_max || (crossing.t == t_max && !is_on(Mutation::RangeExclusive));
+    (crossing.t > ray.t_min && is_before_end).then_some(crossing)
 }
 
 /// Factors that carry a depth that was computed in `f32` beyond its error: of the difference, the inverse, their product and the

@@ -4,6 +4,7 @@
 //! the same numbers, without fused operations, so the answers are the same in every bit on every instruction set. What is
 //! rare and branches (an edge within rounding of a ray, a point on an edge) is left to the test of a single ray itself.
 
+use crate::mutation::{Mutation, is_on};
 use crate::rounding::UNIT_ROUNDOFF;
 use crate::triangle::{DEPTH_LONGER, DEPTH_SHORTER, RayShear, intersect};
 use crate::{Ray, Vec3};
@@ -155,6 +156,7 @@ impl<S: Simd> WideShear<S> {
         }
         // An edge function that is not 0 has the right sign: only zeros among equal signs are in doubt.
         let close = lanes_of(u.simd_eq(0.0) | v.simd_eq(0.0) | w.simd_eq(0.0)) & inside_lanes;
+        let close = if is_on(Mutation::WideNoExactEdges) { 0 } else { close };
 
         // Leave out rays whose range the triangle is not in. The reported t lies between the depths of its vertices; each of
         // these here is off by three roundings, to which comes the rounding of t.

@@ -6,6 +6,7 @@ pub mod build;
 mod kernel;
 pub mod node;
 mod packet;
+pub mod soup;
 pub mod traverse;
 pub mod validate;
 pub mod wgsl;

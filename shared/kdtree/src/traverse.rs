@@ -10,6 +10,7 @@
 
 use crate::node::{MAX_DEPTH, Node, Slot};
 use arrayvec::ArrayVec;
+use tessera_geometry::mutation::{Mutation, is_on, unless};
 use tessera_geometry::rounding::gamma;
 use tessera_geometry::triangle::{LATERAL_ERROR, RayShear, intersect};
 use tessera_geometry::{Aabb, Hit, Ray, Vec3};
@@ -59,6 +60,8 @@ impl TreeView<'_> {
         if !ray.is_traceable() {
             return None;
         }
+        let endless = Ray { t_max: f32::INFINITY, ..*ray };
+        let ray = if ANY && is_on(Mutation::AnyIgnoresEnd) { &endless } else { ray };
         let (line, t0, t1) = Line::enter(ray, &self.bounds)?;
         let mut search = Search::new(triangles, ray, accept);
         self.descend::<ANY>(&line, &mut search, (0, t0, t1));
@@ -96,7 +99,7 @@ impl TreeView<'_> {
                 if node.refs() > 0 {
                     let [first, second] = self.slots[at as usize + 1];
                     search.test(first);
-                    if node.refs() > 1 {
+                    if node.refs() > 1 && !is_on(Mutation::ReferenceSkipped) {
                         search.test(second);
                     }
                 }
@@ -110,7 +113,7 @@ impl TreeView<'_> {
                     let split = node.split();
                     if inverse.is_infinite() {
                         // The ray is parallel to the plane: on one side of it, or as thick as it is in it.
-                        if (split - origin).abs() <= line.radius {
+                        if (split - origin).abs() <= line.radius && !is_on(Mutation::OneSideOfPlane) {
                             stack.push((node.right(), t0, t1));
                             at = left;
                         } else {
@@ -121,8 +124,11 @@ impl TreeView<'_> {
 
                     // Find where the ray comes to the plane and leaves it. Along the ray the cells follow each other as its
                     // direction points; a plane behind the origin has negative distances and leaves the cell behind it.
-                    let (first, second) =
-                        if inverse < 0.0 { (node.right(), left) } else { (left, node.right()) };
+                    let (first, second) = if (inverse < 0.0) != is_on(Mutation::SwappedChildren) {
+                        (node.right(), left)
+                    } else {
+                        (left, node.right())
+                    };
                     let to_plane = (split - origin) * inverse;
                     let (enter, leave) = (to_plane - slack, to_plane + slack);
 
@@ -178,7 +184,8 @@ impl Line {
     fn enter(ray: &Ray, bounds: &Aabb) -> Option<(Self, f32, f32)> {
         let inverse = ray.divisor().to_array().map(f32::recip);
         let Aabb { min, max } = *bounds;
-        let radius = THICKNESS * (min - ray.origin).abs().max((max - ray.origin).abs()).max_element();
+        let thickness = unless(Mutation::ThinRay, THICKNESS, 0.0);
+        let radius = thickness * (min - ray.origin).abs().max((max - ray.origin).abs()).max_element();
         // (A built tree's root box is larger than its triangles by a voxel or a digit, which takes up the rounding of these sums.)
         let thick = Aabb { min: min - radius, max: max + radius };
         let (t0, t1) = thick.clip(ray, Vec3::from_array(inverse))?;
@@ -251,6 +258,6 @@ impl<'a, T: Triangles, A: FnMut(&Hit) -> bool> Search<'a, T, A> {
     /// Whether the best hit lies before `t0` by more than rounding, so that nothing from `t0` on can replace it.
     #[inline]
     fn is_nearer_than(&self, t0: f32) -> bool {
-        self.best.t < t0 * (1.0 - MARGIN)
+        self.best.t < t0 * (1.0 - unless(Mutation::StopEarly, MARGIN, -1000.0 * MARGIN))
     }
 }

@@ -9,6 +9,7 @@ use crate::validate::validate;
 use bytemuck::Pod;
 use std::fmt;
 use std::sync::Arc;
+use tessera_geometry::mutation::{Mutation, unless};
 use tessera_geometry::{Aabb, LocalFrame, Vec2, Vec3};
 use tessera_kdtree::TreeView;
 use tessera_quantize::grid::{PAPER_INTERVALS, VOXELS_PER_CELL};
@@ -279,7 +280,7 @@ pub(crate) fn cell_bytes(cells: [u32; 3]) -> usize {
 /// What is added to a voxel's coordinates: half a voxel, minus the grid's centre.
 pub(crate) fn voxel_bias(cells: [u32; 3]) -> [f32; 3] {
     // n <= 8192: 512 n and the half are exact.
-    cells.map(|n| 0.5 - (n * (VOXELS_PER_CELL / 2)) as f32)
+    cells.map(|n| unless(Mutation::DecodeCorner, 0.5, 0.0) - (n * (VOXELS_PER_CELL / 2)) as f32)
 }
 
 #[inline(always)]

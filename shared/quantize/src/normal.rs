@@ -12,6 +12,7 @@
 use crate::oct;
 use std::f64::consts::PI;
 use std::sync::OnceLock;
+use tessera_geometry::mutation::{Mutation, unless};
 
 /// The code that means 'no normal here'.
 pub const NO_NORMAL: u16 = 0xFFFF;
@@ -115,7 +116,7 @@ impl NormalTable {
                 best = (cosine, code);
             }
         }
-        best.1 as u16
+        unless(Mutation::NormalNext, best.1, best.1 + 1) as u16
     }
 
     /// The unit vector of `code`; `None` for [`NO_NORMAL`] (and for 0xFFFE, which no encoder writes).

@@ -10,6 +10,8 @@
 //! the copies have one position and one normal code, so the mesh stays watertight. A triangle that fits under no shift keeps its
 //! corners as `f32` in a side table. Nothing is ever wrapped silently.
 
+use tessera_geometry::mutation::{Mutation, is_on, unless};
+
 /// Largest texture coordinate accepted: beyond it an `f32` keeps only the first bit of the fraction.
 pub const MAX_UV: f32 = 4_194_304.0;
 
@@ -45,7 +47,8 @@ impl UvBits {
     fn pack(self, x: f64) -> u16 {
         let step = self.step();
         // `as` saturates at both ends.
-        let steps = (x * 32_768.0 / f64::from(step)).round() as u32;
+        let steps = x * 32_768.0 / f64::from(step);
+        let steps = unless(Mutation::UvTruncated, steps.round(), steps.floor()) as u32;
         (steps.min(65_536 / step - 1) * step) as u16
     }
 }
@@ -197,7 +200,7 @@ impl Shifts {
         if rule == WrapRule::Fixed {
             return (low >= 0.0 && high <= 2.0).then_some(Self { low: 0, high: 0, even: false });
         }
-        let even = rule == WrapRule::Even;
+        let even = rule == WrapRule::Even && !is_on(Mutation::MirrorShift);
         let greatest = low.floor() as i32;
         let greatest = if even { greatest & !1 } else { greatest };
         let least = (high - bits.packed_max()).ceil() as i32;

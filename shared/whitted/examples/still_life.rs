@@ -2,16 +2,12 @@
 //!
 //! `cargo run --release -p tessera-whitted --example still_life -- FILE.png [SIZE [SAMPLES]]`
 
-#[path = "../tests/tracer/support.rs"]
-#[expect(dead_code, reason = "made for the tests; a picture needs a part of it")]
-mod support;
-
 use std::time::Instant;
-use support::*;
 use tessera_pack::{
     Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, MaterialFlags, Plain,
 };
 use tessera_whitted::PixelFormat;
+use tessera_whitted::stage::*;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);

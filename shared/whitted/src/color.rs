@@ -1,5 +1,6 @@
 //! sRGB codes of linear light (IEC 61966-2-1), by the `libm` crate. The way back is `tessera_pack::color`'s table.
 
+use tessera_geometry::mutation::{Mutation, unless};
 use tessera_geometry::srgb_from_linear;
 
 /// The code in `0..=max_code` nearest to `linear`, which is clamped to [0, 1] first; NaN becomes 0.
@@ -18,7 +19,7 @@ pub(crate) fn encode_linear(value: f32, max_code: f64) -> u16 {
 
 /// The cast takes NaN to 0.
 fn encode_unit(value: f64, max_code: f64) -> u16 {
-    (value * max_code + 0.5) as u16
+    (value * max_code + unless(Mutation::CodesTruncated, 0.5, 0.0)) as u16
 }
 
 #[cfg(test)]

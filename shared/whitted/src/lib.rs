@@ -18,6 +18,7 @@
 //! | `environment.rs`, `texture.rs`, `color.rs` | misses, look-ups, sRGB |
 //! | `scene.rs` | a pack made ready |
 //! | [`device`], [`variant`] | the same for GPUs: what kernels are told, and which kernel a scene needs |
+//! | [`stage`] | small scenes whose pictures are known, for tests and `tessera check` |
 //! | [`twins`] | what the kernels' text must agree with |
 
 pub mod adaptive;
@@ -33,6 +34,7 @@ pub mod replay;
 pub mod sample;
 mod scene;
 pub mod shade;
+pub mod stage;
 mod surface;
 mod texture;
 pub mod twins;

@@ -6,6 +6,7 @@ use crate::probe::{Direct, Tracer};
 use crate::scene::{Renderer, lets_light_through};
 use crate::shade::glass_share;
 use crate::surface::paint_at;
+use tessera_geometry::mutation::{Mutation, is_on, unless};
 use tessera_geometry::wide::{LANES, lanes_in};
 use tessera_geometry::{Hit, Ray, Vec3, rounding::gamma};
 use tessera_pack::{Light, LightKind};
@@ -60,7 +61,7 @@ pub(crate) fn incoming(light: &Light, origin: Vec3, step: f64) -> Option<Incomin
 fn reach(distance: f32, position: Vec3) -> f32 {
     let place = position.abs();
     let margin = 1.0 + (place.x + place.y + place.z) * gamma(3) + distance * (1.0 / 1_048_576.0);
-    (distance - margin).max(0.0)
+    (distance - unless(Mutation::NoLightMargin, margin, 0.0)).max(0.0)
 }
 
 /// The smooth end of a light's range (KHR_lights_punctual, "Range Property"): `max(min(1 - (d / range)^4, 1), 0)`.
@@ -125,7 +126,9 @@ pub(crate) fn transmittances(
 
 /// Whether no light passes at `hit`.
 pub(crate) fn is_opaque(scene: &Renderer<'_>, hit: &Hit) -> bool {
-    !lets_light_through(scene.material(hit.triangle)) && scene.is_solid(hit)
+    let is_see_through =
+        lets_light_through(scene.material(hit.triangle)) && !is_on(Mutation::ShadowsIgnoreAlpha);
+    !is_see_through && scene.is_solid(hit)
 }
 
 /// The share of a light along `ray`, which meets nothing opaque.

@@ -18,6 +18,7 @@ use crate::scene::Renderer;
 use crate::shade::{View, local_light, local_lights, reflect};
 use crate::surface::{clearance, offset_origin, paint_at};
 use crate::{FrameParams, RayCounts};
+use tessera_geometry::mutation::{Mutation, is_on};
 use tessera_geometry::wide::{LANES, lanes_in};
 use tessera_geometry::{Hit, Ray, Vec3};
 
@@ -327,7 +328,8 @@ impl<T: Tracer> Path<'_, '_, T> {
             let on = Segment { after, weight: straight, layers: layers + 1, ..segment };
             self.counts.refraction += self.push(on, Way::On);
         }
-        if depth >= self.params.max_depth.min(FrameParams::MAX_DEPTH) {
+        let depth_met = if is_on(Mutation::DepthOffByOne) { depth.saturating_sub(1) } else { depth };
+        if depth_met >= self.params.max_depth.min(FrameParams::MAX_DEPTH) {
             return;
         }
 

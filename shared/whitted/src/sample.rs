@@ -30,6 +30,7 @@
 //! as many columns, the variance is `n^-3/2 (Var g + Var h) / 12`. Of a sum of functions of x and of y alone it is `n^-3`.
 
 use tessera_geometry::Vec2;
+use tessera_geometry::mutation::{Mutation, is_on, unless};
 
 /// Where the samples of a pixel lie; the head of this file has sources and rates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -75,13 +76,17 @@ fn jittered(index: u32, count: u32, seed: u32) -> Vec2 {
     // Jitter inside the substratum.
     let jx = unit_float(pcg(s ^ seed.wrapping_mul(0x967a_889b)));
     let jy = unit_float(pcg(s ^ seed.wrapping_mul(0x368c_c8b7)));
+    if is_on(Mutation::Unstratified) {
+        return Vec2::new(jx, jy);
+    }
     Vec2::new((sx as f32 + (sy as f32 + jx) / rows as f32) / columns as f32, (s as f32 + jy) / count as f32)
 }
 
 /// Sample `index` of the scrambled sequence, in units of 2^-32.
 pub fn low_discrepancy(index: u32, seed: u32) -> [u32; 2] {
     let x = scramble(index, pcg(seed ^ 0x68bc_21eb));
-    let y = scramble(second_dimension(index), pcg(seed ^ 0x02e5_be93));
+    let second = unless(Mutation::SobolFlat, second_dimension(index), index);
+    let y = scramble(second, pcg(seed ^ 0x02e5_be93));
     [x.reverse_bits(), y.reverse_bits()]
 }
 

@@ -51,6 +51,7 @@ use crate::scene::Renderer;
 use crate::surface::{Paint, Surface, clearance, offset_origin, paint_at, surface_at};
 use crate::{Features, FrameParams, RayCounts, path::Passage};
 use std::f32::consts::{FRAC_1_PI, PI};
+use tessera_geometry::mutation::{Mutation, is_on, unless};
 use tessera_geometry::wide::{LANES, lanes_in};
 use tessera_geometry::{Hit, Ray, Vec3};
 use tessera_pack::Light;
@@ -155,9 +156,9 @@ fn pass(paint: &Paint, surface: &Surface, direction: Vec3) -> (Passage, f32) {
 
     // A thin wall reflects like the outside of a body and does not bend.
     let entering = surface.from_front || paint.thin_walled;
-    let eta = if entering { 1.0 / paint.ior } else { paint.ior };
+    let eta = if entering != is_on(Mutation::IorInverted) { 1.0 / paint.ior } else { paint.ior };
     match refract(direction, surface.shading, eta) {
-        None => (Passage::Straight, 1.0),
+        None => (Passage::Straight, unless(Mutation::NoTotalReflection, 1.0, 0.0)),
         Some((_, reflectance)) if paint.thin_walled => (Passage::Straight, reflectance),
         Some((bent, reflectance)) => (Passage::Bent(onto_side(bent, -surface.facing)), reflectance),
     }
@@ -176,6 +177,7 @@ pub(crate) fn refract(direction: Vec3, normal: Vec3, eta: f32) -> Option<(Vec3, 
         // Average the reflectances of both polarisations.
         let across = (eta * cos_in - cos_out) / (eta * cos_in + cos_out);
         let along = (cos_in - eta * cos_out) / (cos_in + eta * cos_out);
+        let along = unless(Mutation::FresnelOneSided, along, across);
         let reflectance = 0.5 * (across * across + along * along);
         let bent = direction * eta + normal * (eta * cos_in - cos_out);
         Some((bent.normalize_or(direction), if reflectance <= 1.0 { reflectance } else { 1.0 }))

@@ -2,6 +2,7 @@
 
 use crate::scene::Renderer;
 use crate::texture::Coding;
+use tessera_geometry::mutation::{Mutation, is_on, unless};
 use tessera_geometry::{DVec3, Hit, Vec3, rounding::gamma};
 use tessera_pack::{Material, MaterialFlags};
 
@@ -47,6 +48,9 @@ pub(crate) fn surface_at(scene: &Renderer<'_>, hit: &Hit, direction: Vec3) -> Su
     let [a, b, c] = [corners[0] * weights[0], corners[1] * weights[1], corners[2] * weights[2]];
     let point = a + b + c;
     let error = (a.abs() + b.abs() + c.abs()) * gamma(7);
+    let error = unless(Mutation::PointErrorTimes10, error, error * 10.0);
+    let error = unless(Mutation::PointErrorTimes1000, error, error * 1000.0);
+    let error = unless(Mutation::PointErrorTenth, error, error * 0.1);
 
     // Turn the geometric normal towards the ray's origin.
     let normal = geometric_normal(corners);
@@ -93,6 +97,7 @@ fn lean_to_viewer(normal: Vec3, view: Vec3) -> Vec3 {
 /// error, so that the ray meets the same plane no more (Pharr, Jakob, Humphreys, section 6.8.6).
 pub(crate) fn offset_origin(surface: &Surface, side: Vec3) -> Vec3 {
     // Move by the extent of the error box along the normal.
+    let side = unless(Mutation::OffsetWrongSide, side, -side);
     let moved = surface.point + side * side.abs().dot(surface.error);
 
     // Round away from the surface.
@@ -109,7 +114,7 @@ pub(crate) fn offset_origin(surface: &Surface, side: Vec3) -> Vec3 {
 /// neighbours that the ray leaves steeper than about 20 degrees (sine 1/3, for equal errors). It lets light pass
 /// under what touches the surface for at most 6e-7 of the scene's side: 0.7 of a voxel at 1024 cells a side.
 pub(crate) fn clearance(surface: &Surface) -> f32 {
-    surface.error.x + surface.error.y + surface.error.z
+    if is_on(Mutation::NoClearance) { 0.0 } else { surface.error.x + surface.error.y + surface.error.z }
 }
 
 /// The material at `hit`.

@@ -1,5 +1,6 @@
 //! Texture look-ups: wrapping, bilinear interpolation in linear light.
 
+use tessera_geometry::mutation::{Mutation, is_on};
 use tessera_geometry::{Vec2, Vec3};
 use tessera_pack::color::srgb8_to_linear_table;
 use tessera_pack::{Texture, Wrap};
@@ -126,7 +127,8 @@ fn neighbours(coordinate: f32, size: u32, wrap: Wrap, nearest: bool) -> (u32, u3
     let from_centre = at - 0.5;
     let floor = from_centre.floor();
     let first = floor as i64;
-    let (before, after) = if wrap == Wrap::Repeat { (last, 0) } else { (0, last) };
+    let (before, after) =
+        if wrap == Wrap::Repeat && !is_on(Mutation::WrapClamped) { (last, 0) } else { (0, last) };
     let low = if first < 0 { before } else { (first as u32).min(last) };
     let high = if first >= i64::from(last) { after } else { (first + 1) as u32 };
     (low, high, from_centre - floor)

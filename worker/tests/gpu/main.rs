@@ -2,12 +2,9 @@
 //!
 //! `TESSERA_GPU=require` fails without a GPU, `allow` (as without it) skips and says so, `off` skips and says so.
 
-#[path = "../../../shared/kdtree/tests/common/mod.rs"]
-mod kinds;
-
-use kinds::truth::judge;
-use kinds::{Random, Soup, sphere, spheres, split_planes, unkind_ray};
 use tessera_geometry::{Hit, Ray, Vec3, wgsl};
+use tessera_kdtree::soup::truth::judge;
+use tessera_kdtree::soup::{Random, Soup, sphere, spheres, split_planes, unkind_ray};
 use tessera_kdtree::{BuildOptions, Triangles};
 use tessera_pack::device::VertexLayout;
 use tessera_pack::{Material, Pack, PackInput, PackOptions, Plain, build_pack};

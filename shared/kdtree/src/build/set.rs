@@ -7,6 +7,7 @@ use super::plane::{self, Plane};
 use super::refs::Trials;
 use rayon::prelude::*;
 use tessera_geometry::Vec3;
+use tessera_geometry::mutation::{Mutation, is_on};
 
 /// Triangles with the boxes of their parts inside one cell, and the boxes' ends sorted along each axis.
 ///
@@ -107,6 +108,8 @@ impl Set {
                 Some(false) => Route::high(high.push(id, bounds)),
                 None => {
                     let parts = clip_halves((builder.vertices)(id), bounds, cell, plane, builder.margin);
+                    let parts =
+                        if is_on(Mutation::CutGoesLow) { [parts[0].or(parts[1]), None] } else { parts };
                     for ((side, part), cut) in [&mut *low, &mut *high].into_iter().zip(parts).zip(&mut *cut) {
                         if let Some(part) = part {
                             cut.push(side.push(id, &part));

@@ -9,5 +9,6 @@ mod lights;
 mod probes;
 mod refraction;
 mod sides;
-mod support;
 mod variants;
+
+use tessera_whitted::stage as support;

@@ -3,6 +3,7 @@
 use super::{Gpu, GpuError};
 use std::borrow::Cow;
 use std::fmt::Write;
+use tessera_geometry::mutation::{Mutation, is_on};
 use tessera_geometry::wgsl as geometry;
 use tessera_kdtree::wgsl as kdtree;
 use tessera_whitted::device as whitted;
@@ -176,6 +177,37 @@ pub(super) fn text(key: &KernelKey) -> String {
     };
     for (name, binding) in own.iter().zip(key.chunks.end()..) {
         text = text.replace(name, &binding.to_string());
+    }
+    mutated(text)
+}
+
+/// `text` with the bug that is planted in it, if any ([`tessera_geometry::mutation`]).
+fn mutated(mut text: String) -> String {
+    for (mutation, right, wrong) in [
+        (
+            Mutation::GpuEdgesExclusive,
+            "all(sides >= vec3<f32>(0.0)) || all(sides <= vec3<f32>(0.0))",
+            "all(sides > vec3<f32>(0.0)) || all(sides < vec3<f32>(0.0))",
+        ),
+        (
+            Mutation::GpuSwappedChildren,
+            "let near = select(left, right, goes_down);",
+            "let near = select(right, left, goes_down);",
+        ),
+        (
+            Mutation::GpuNoClearance,
+            "fn clearance(surface: Surface) -> f32 {",
+            "fn clearance(surface: Surface) -> f32 { if true { return 0.0; }",
+        ),
+        (
+            Mutation::GpuIorInverted,
+            "let eta = select(paint.ior, quotient(1.0, paint.ior), entering);",
+            "let eta = select(quotient(1.0, paint.ior), paint.ior, entering);",
+        ),
+    ] {
+        if is_on(mutation) {
+            text = text.replace(right, wrong);
+        }
     }
     text
 }

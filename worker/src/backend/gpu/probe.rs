@@ -71,6 +71,11 @@ impl GpuProbe {
         self.gpu.adapter()
     }
 
+    /// Frames of one class are equal bit for bit.
+    pub fn numeric_class(&self) -> &str {
+        self.gpu.numeric_class()
+    }
+
     /// Whether its kernels compute in `f64` where it matters.
     pub fn uses_f64(&self) -> bool {
         self.gpu.uses_f64() && self.options.f64

@@ -1,29 +1,33 @@
-//! Small scenes, and frames of them as numbers.
+//! Small scenes whose pictures are known, and frames of them as numbers: for tests and `tessera check`, which ask the same.
 
-#[path = "stages.rs"]
 pub mod stages;
 
+use crate::{Features, FrameParams, PixelBlock, PixelFormat, RayCounts, Renderer, Sampling};
 use tessera_geometry::{CameraPose, DVec3};
 use tessera_pack::{
     BuildError, Environment, EnvironmentKind, ImageInput, Light, LightKind, Material, MaterialFlags, Pack,
     PackInput, PackOptions, Plain, build_pack,
 };
-use tessera_whitted::{Features, FrameParams, PixelBlock, PixelFormat, RayCounts, Renderer, Sampling};
 
 /// A scene under construction.
-#[derive(Clone, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Stage {
+    /// What is on it.
     pub input: PackInput,
 }
 
 /// Vertex data besides the position.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub struct Extra {
+    /// Shading normal; zero for none.
     pub normal: [f32; 3],
+    /// Texture coordinates.
     pub uv: [f32; 2],
+    /// Vertex colour.
     pub color: [u8; 4],
 }
 
+/// Nothing but a position.
 pub const BARE: Extra = Extra { normal: [0.0; 3], uv: [0.0; 2], color: [255; 4] };
 
 impl Stage {
@@ -90,6 +94,7 @@ impl Stage {
         }
     }
 
+    /// Adds a light.
     pub fn light(&mut self, light: Light) {
         self.input.lights.push(light);
     }
@@ -107,10 +112,14 @@ impl Stage {
     }
 
     /// Packs it with exact vertices, so that a picture has analytic values.
+    ///
+    /// # Panics
+    /// When it cannot be packed.
     pub fn pack(self) -> Pack {
         self.pack_with(Plain { positions: true, normals: true, uvs: true }).expect("a packable scene")
     }
 
+    /// Packs it with these sections held plain.
     pub fn pack_with(self, plain: Plain) -> Result<Pack, BuildError> {
         build_pack(self.input, &PackOptions { plain, ..PackOptions::default() }).map(|(pack, _)| pack)
     }
@@ -143,6 +152,7 @@ pub fn unlit(color: [f32; 3]) -> Material {
     Material { base_color: [r, g, b, 1.0], flags, ..chalk() }
 }
 
+/// A lamp of so many candela.
 pub fn point_light(position: [f32; 3], intensity: f32) -> Light {
     Light {
         position,
@@ -156,6 +166,7 @@ pub fn point_light(position: [f32; 3], intensity: f32) -> Light {
     }
 }
 
+/// A light from infinitely far, of so many lux.
 pub fn directional_light(direction: [f32; 3], intensity: f32) -> Light {
     let d = tessera_geometry::Vec3::from(direction).normalize();
     Light { kind: LightKind::Directional as u32, direction: d.to_array(), ..point_light([0.0; 3], intensity) }
@@ -176,22 +187,34 @@ pub fn ruler() -> ImageInput {
 /// One pixel of [`PixelFormat::Layers`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layers {
+    /// Linear red, green, blue.
     pub color: [f32; 3],
+    /// Coverage.
     pub alpha: f32,
+    /// Distance from the eye.
     pub depth: f32,
+    /// Geometric normal.
     pub normal: [f32; 3],
+    /// Triangle of the input.
     pub id: u32,
 }
 
 /// A view of a scene.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub struct View {
+    /// Where from and where to.
     pub pose: CameraPose,
+    /// Columns.
     pub width: u32,
+    /// Rows.
     pub height: u32,
+    /// Samples a pixel.
     pub samples: u32,
+    /// How they are taken.
     pub sampling: Sampling,
+    /// Mirror and bent rays of a path.
     pub max_depth: u32,
+    /// What is switched on.
     pub features: Features,
 }
 
@@ -211,10 +234,15 @@ pub fn look(eye: [f64; 3], target: [f64; 3]) -> View {
 }
 
 impl View {
+    /// The same with so many pixels.
     pub fn sized(self, width: u32, height: u32) -> Self {
         Self { width, height, ..self }
     }
 
+    /// What a frame of it asks for.
+    ///
+    /// # Panics
+    /// When the pose has no meaning.
     pub fn params(&self, pack: &Pack, format: PixelFormat) -> FrameParams {
         FrameParams {
             camera: self.pose.to_local(&pack.frame(), self.width, self.height).expect("a usable pose"),
@@ -250,6 +278,7 @@ impl View {
     }
 }
 
+/// Pixels of [`PixelFormat::Layers`].
 pub fn decode(bytes: &[u8]) -> Vec<Layers> {
     let decode_pixel = |bytes: &[u8]| {
         let word = |i: usize| <[u8; 4]>::try_from(&bytes[4 * i..4 * i + 4]).expect("four bytes");
@@ -266,6 +295,9 @@ pub fn decode(bytes: &[u8]) -> Vec<Layers> {
 }
 
 /// Checks all channels of `color` against `wanted` within `tolerance`.
+///
+/// # Panics
+/// When one is farther off.
 #[track_caller]
 pub fn assert_color(color: [f32; 3], wanted: f32, tolerance: f32) {
     assert!(color.iter().all(|c| (c - wanted).abs() <= tolerance), "{color:?} is not {wanted}");

@@ -33,6 +33,9 @@ pub fn judge(ray: &Ray, vertices: [Vec3; 3]) -> Truth {
 
 /// Judges exactly a ray and a triangle whose coordinates are multiples of a half below 2^23, with a direction of multiples of
 /// 2^-20 below 2^24.
+///
+/// # Panics
+/// When they are not.
 pub fn judge_exactly(ray: &Ray, vertices: [Vec3; 3]) -> Truth {
     let whole = |v: DVec3, scale: f64| {
         v.to_array().map(|x| {

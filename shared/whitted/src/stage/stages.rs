@@ -2,7 +2,6 @@
 
 use super::*;
 use std::f32::consts::PI;
-use tessera_pack::MaterialFlags;
 
 fn point(x: f64, y: f64, z: f64) -> (DVec3, Extra) {
     (DVec3::new(x, y, z), BARE)
@@ -167,6 +166,9 @@ pub fn add_ruler(stage: &mut Stage, z: f64) {
 }
 
 /// Where a pixel's ray has met the ruler.
+///
+/// # Panics
+/// When it has not.
 pub fn ruler_at(pixel: &Layers) -> f64 {
     let [r, g, _] = pixel.color;
     assert!(g > 0.1 && r > 0.0 && r < g, "off the ruler: {r} of {g}");

@@ -1,0 +1,76 @@
+//! Orders of convergence: the slope of errors in a log-log plot, with its confidence.
+
+/// A fitted power law, `error = scale * size^slope`.
+#[derive(Clone, Copy, Debug)]
+pub struct Fit {
+    pub slope: f64,
+    /// Half the width of the interval that holds the slope with 95 %.
+    pub confidence: f64,
+}
+
+impl Fit {
+    /// Least squares through the logarithms of `(size, error)`, all above 0, of which there are at least 3: the standard error of
+    /// the slope is that of the residuals, `sqrt(sum r^2 / (n - 2) / sum (x - mean)^2)`, and its quantile Student's with `n - 2`
+    /// degrees of freedom (Draper and Smith, *Applied Regression Analysis*, section 1.4). `None` for fewer.
+    pub fn of(points: &[(f64, f64)]) -> Option<Self> {
+        let quantile = STUDENT_975.get(points.len().checked_sub(3)?).copied().unwrap_or(1.96);
+        let logs: Vec<_> = points.iter().map(|&(x, y)| (libm::log(x), libm::log(y))).collect();
+        let n = logs.len() as f64;
+        let mean = |of: fn(&(f64, f64)) -> f64| logs.iter().map(of).sum::<f64>() / n;
+        let (mx, my) = (mean(|p| p.0), mean(|p| p.1));
+        let spread: f64 = logs.iter().map(|(x, _)| (x - mx) * (x - mx)).sum();
+        let slope = logs.iter().map(|(x, y)| (x - mx) * (y - my)).sum::<f64>() / spread;
+        let left = |&(x, y): &(f64, f64)| y - my - slope * (x - mx);
+        let rest: f64 = logs.iter().map(|p| left(p) * left(p)).sum();
+        let confidence = quantile * (rest / (n - 2.0) / spread).sqrt();
+        (slope.is_finite() && confidence.is_finite()).then_some(Self { slope, confidence })
+    }
+
+    /// Whether the interval holds `theory`, widened by what the theory itself leaves out.
+    pub fn agrees(&self, theory: f64, allowance: f64) -> bool {
+        (self.slope - theory).abs() <= self.confidence + allowance
+    }
+}
+
+impl std::fmt::Display for Fit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:.3} +- {:.3}", self.slope, self.confidence)
+    }
+}
+
+/// 97.5 % quantiles of Student's distribution with 1 to 10 degrees of freedom.
+const STUDENT_975: [f64; 10] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_power_law_is_found_exactly_and_noise_widens_the_interval() {
+        let law = |noise: f64| {
+            let points: Vec<_> = (1..8)
+                .map(|i| {
+                    (
+                        f64::from(i),
+                        3.0 * libm::pow(f64::from(i), -1.5) * if i % 2 == 0 { 1.0 + noise } else { 1.0 },
+                    )
+                })
+                .collect();
+            Fit::of(&points).expect("enough points")
+        };
+        let (exact, noisy) = (law(0.0), law(0.1));
+        assert!((exact.slope + 1.5).abs() < 1e-12 && exact.confidence < 1e-12, "{exact}");
+        assert!(noisy.confidence > 0.01 && noisy.agrees(-1.5, 0.0) && !noisy.agrees(-2.0, 0.0), "{noisy}");
+        assert!(Fit::of(&[(1.0, 1.0), (2.0, 1.0)]).is_none());
+    }
+
+    #[test]
+    fn the_interval_is_that_of_a_worked_example() {
+        // x = 0, 1, 2, 3 and y = 0, 1, 1, 2: slope 0.6, residuals -0.1, 0.3, -0.3, 0.1; sqrt(0.2 / 2 / 5) times 4.303.
+        let points =
+            [(0.0, 0.0), (1.0, 1.0), (2.0, 1.0), (3.0, 2.0)].map(|(x, y)| (libm::exp(x), libm::exp(y)));
+        let fit = Fit::of(&points).expect("four points");
+        assert!((fit.slope - 0.6).abs() < 1e-12, "{fit}");
+        assert!((fit.confidence - 4.303 * (0.02f64).sqrt()).abs() < 1e-3, "{fit}");
+    }
+}
