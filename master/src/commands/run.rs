@@ -486,7 +486,7 @@ fn workers(crew: &LocalCrew, log: &LogArgs) -> Result<Workers, CommandError> {
 }
 
 /// A worker within this process: the same code as in a process of its own, behind in-memory pipes.
-fn worker_here(threads: u32, backend: Backend) -> Link {
+pub fn worker_here(threads: u32, backend: Backend) -> Link {
     let (link, pipes) = Link::in_memory();
     let Pipes { control_in, control_out, bulk_in, bulk_out } = pipes;
     let pipes = WorkerPipes { control_in, control_out, bulk_in, bulk_out };

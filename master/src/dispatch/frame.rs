@@ -152,7 +152,7 @@ impl Dispatch {
         let Some(hand) = self.crew.get_mut(&worker) else { return Ok(Vec::new()) };
         let wrong = Violation::Rendered { tiles, queued: hand.queued };
         hand.queued = hand.queued.checked_sub(tiles).filter(|_| tiles > 0).ok_or(wrong)?;
-        self.pace.note(tiles, now.saturating_sub(hand.since));
+        self.pace.note(worker, tiles, now.saturating_sub(hand.since));
         hand.since = now;
         hand.worn = 0.0;
         Ok(self.hand_out(now))
@@ -355,13 +355,21 @@ impl Dispatch {
 
     /// Workers with unfinished tiles that another one could render as well: from when on they are late, and who that is.
     fn late(&self) -> impl Iterator<Item = (Duration, WorkerId, WorkerId)> {
-        // Nobody idles while the pool has tiles. Two are enough to find one that is another.
-        let is_idle = |hand: &Hand| hand.queued == 0 && !hand.leaving;
-        let mut idle = self.crew.iter().filter(|(_, hand)| is_idle(hand)).map(|(&worker, _)| worker);
-        let idle = if self.pool.is_empty() { [idle.next(), idle.next()] } else { [None, None] };
+        // Nobody idles while the pool has tiles. The two that are the fastest are enough to find one that is another.
+        let is_idle = |hand: &Hand| hand.queued == 0 && !hand.leaving && self.pool.is_empty();
+        let mut idle = [None, None];
+        for (&worker, _) in self.crew.iter().filter(|(_, hand)| is_idle(hand)) {
+            let mut next = Some((self.pace.rank(worker), worker));
+            for place in &mut idle {
+                if place.is_none_or(|held| next.is_some_and(|next| next < held)) {
+                    std::mem::swap(place, &mut next);
+                }
+            }
+        }
+        let idle = idle.map(|place| place.map(|(_, worker)| worker));
         self.crew.iter().filter(|(_, hand)| !hand.alone_with.is_empty()).filter_map(move |(&worker, hand)| {
             let other = idle.into_iter().flatten().find(|&other| other != worker)?;
-            Some((hand.since + self.pace.late_after(hand.queued), worker, other))
+            Some((hand.since + self.pace.late_after(worker, hand.queued, other), worker, other))
         })
     }
 
@@ -546,6 +554,21 @@ mod tests {
         assert_eq!(d.accept(WorkerId(1), TileId(0), Attempt(1), NOW), Ok(false));
         assert!(d.is_done() && d.dropped() == 1);
         assert!(!d.owes(WorkerId(0)) && !d.owes(WorkerId(1)), "nothing is missing from either");
+    }
+
+    #[test]
+    fn the_fastest_that_idles_helps() {
+        let (mut d, first) = start(4, Balance::PaperDynamic, 4);
+        assert_eq!(given(&first, 3), [3]);
+        // Workers 0 and 3 are silent.
+        d.rendered(WorkerId(2), 1, NOW + SECOND).unwrap();
+        d.rendered(WorkerId(1), 1, NOW + SECOND / 2).unwrap();
+        let late = d.deadline().unwrap();
+        assert_eq!(late, NOW + SECOND, "two means of worker 1");
+        let again = d.tick(late);
+        assert_eq!((given(&again, 1), given(&again, 2)), (vec![0], vec![]));
+        let again = d.rendered(WorkerId(1), 1, late + SECOND / 2).unwrap();
+        assert_eq!(given(&again, 1), [3], "worker 2 would wait for a second more");
     }
 
     #[test]
