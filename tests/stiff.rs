@@ -72,24 +72,26 @@ fn a_tile_a_hundred_thousand_times_dearer_holds_the_frame_no_longer_than_itself(
     }
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_glass_corner_in_a_white_wall_is_one_picture() {
-    let pack = scenes::glass_corner(8).expect("it packs");
-    let costs = scenes::corner_costs(&pack, 4);
-    // Eight lamps: a thousand hits of eight shadow rays through up to fifteen panes, to one primary ray.
-    assert!(costs.ratio() > 1000.0, "{costs:?}: the corner is not dear");
-    let mut hashes = BTreeSet::new();
-    for crew in [1, 3] {
-        let (workers, _served) = in_memory(crew);
-        let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("they join");
-        cluster.load(&pack, |_| ()).await.expect("they take the pack");
-        for balance in Balance::ALL {
-            let image = frames::whole(&mut cluster, &scenes::corner_job(&pack, 4, balance)).await;
-            hashes.insert(image.expect("workers are well").hash().to_string());
+#[test]
+fn a_glass_corner_in_a_white_wall_is_one_picture() {
+    wait(async {
+        let pack = scenes::glass_corner(8).expect("it packs");
+        let costs = scenes::corner_costs(&pack, 4);
+        // Eight lamps: a thousand hits of eight shadow rays through up to fifteen panes, to one primary ray.
+        assert!(costs.ratio() > 1000.0, "{costs:?}: the corner is not dear");
+        let mut hashes = BTreeSet::new();
+        for crew in [1, 3] {
+            let (workers, _served) = in_memory(crew);
+            let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("they join");
+            cluster.load(&pack, |_| ()).await.expect("they take the pack");
+            for balance in Balance::ALL {
+                let image = frames::whole(&mut cluster, &scenes::corner_job(&pack, 4, balance)).await;
+                hashes.insert(image.expect("workers are well").hash().to_string());
+            }
+            cluster.stop().await;
         }
-        cluster.stop().await;
-    }
-    assert_eq!(hashes.len(), 1, "{hashes:?}");
+        assert_eq!(hashes.len(), 1, "{hashes:?}");
+    });
 }
 
 #[test]
@@ -107,40 +109,50 @@ fn one_huge_and_many_tiny_triangles_leave_no_hole_and_the_speck_is_reported() {
     assert_eq!((benign.holes, benign.differ, benign.prepared.warnings.len()), (0, 0, 0));
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn frames_by_rows_are_those_held_whole() {
-    let pack = frames::slope().expect("it packs");
-    let folder = Folder::new();
-    let path = folder.file("frame.png");
-    let (workers, _served) = in_memory(3);
-    let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("they join");
-    cluster.load(&pack, |_| ()).await.expect("they take the pack");
-    for (size, tile) in frames::SIZES {
-        for format in [PixelFormat::Rgba8, PixelFormat::Rgba16] {
-            for balance in Balance::ALL {
-                let what = format!("{size:?}, tiles of {tile}, {format}, {balance}");
-                let job = tessera_master::FrameJob { balance, ..frames::job(&pack, size, tile, format) };
-                let whole = frames::whole(&mut cluster, &job).await.expect("workers are well");
-                let hash = frames::by_rows(&mut cluster, &job, &path).await.expect("workers are well");
-                assert_eq!(hash, whole.hash(), "{what}");
-                let read: Vec<u8> = match image::open(&path).expect("a picture") {
-                    image::DynamicImage::ImageRgba8(image) => image.into_raw(),
-                    image::DynamicImage::ImageRgba16(image) => {
-                        image.into_raw().into_iter().flat_map(u16::to_le_bytes).collect()
-                    }
-                    other => panic!("{:?}", other.color()),
-                };
-                assert!(read == whole.data(), "{what}: the file holds other pixels");
+#[test]
+fn frames_by_rows_are_those_held_whole() {
+    wait(async {
+        let pack = frames::slope().expect("it packs");
+        let folder = Folder::new();
+        let path = folder.file("frame.png");
+        let (workers, _served) = in_memory(3);
+        let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("they join");
+        cluster.load(&pack, |_| ()).await.expect("they take the pack");
+        for (size, tile) in frames::SIZES {
+            for format in [PixelFormat::Rgba8, PixelFormat::Rgba16] {
+                for balance in Balance::ALL {
+                    let what = format!("{size:?}, tiles of {tile}, {format}, {balance}");
+                    let job = tessera_master::FrameJob { balance, ..frames::job(&pack, size, tile, format) };
+                    let whole = frames::whole(&mut cluster, &job).await.expect("workers are well");
+                    let hash = frames::by_rows(&mut cluster, &job, &path).await.expect("workers are well");
+                    assert_eq!(hash, whole.hash(), "{what}");
+                    let read: Vec<u8> = match image::open(&path).expect("a picture") {
+                        image::DynamicImage::ImageRgba8(image) => image.into_raw(),
+                        image::DynamicImage::ImageRgba16(image) => {
+                            image.into_raw().into_iter().flat_map(u16::to_le_bytes).collect()
+                        }
+                        other => panic!("{:?}", other.color()),
+                    };
+                    assert!(read == whole.data(), "{what}: the file holds other pixels");
+                }
             }
         }
-    }
-    // A frame of several classes is held whole, and goes to the file in the end.
-    let job = frames::job(&pack, [70, 50], 16, PixelFormat::Rgba8);
-    let mixed = tessera_master::FrameJob { mix: true, ..job.clone() };
-    let whole = frames::whole(&mut cluster, &job).await.expect("workers are well");
-    assert_eq!(frames::by_rows(&mut cluster, &mixed, &path).await.expect("workers are well"), whole.hash());
-    cluster.stop().await;
-    assert_eq!(folder.names(), ["frame.png"]);
+        // A frame of several classes is held whole, and goes to the file in the end.
+        let job = frames::job(&pack, [70, 50], 16, PixelFormat::Rgba8);
+        let mixed = tessera_master::FrameJob { mix: true, ..job.clone() };
+        let whole = frames::whole(&mut cluster, &job).await.expect("workers are well");
+        assert_eq!(
+            frames::by_rows(&mut cluster, &mixed, &path).await.expect("workers are well"),
+            whole.hash()
+        );
+        cluster.stop().await;
+        assert_eq!(folder.names(), ["frame.png"]);
+    });
+}
+
+/// Runs what needs sockets and timers.
+fn wait(work: impl Future<Output = ()>) {
+    tokio::runtime::Runtime::new().expect("threads").block_on(work);
 }
 
 /// One of three worker processes is stopped most of the time, as `kill -STOP` stops it.
