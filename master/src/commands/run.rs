@@ -468,7 +468,8 @@ fn workers(crew: &LocalCrew, log: &LogArgs) -> Result<Workers, CommandError> {
             None => crew.backend.open()?,
         };
         tracing::info!("{}", backend.note());
-        return Ok(Workers::Links(vec![worker_here(crew.threads.unwrap_or_else(cores), backend)]));
+        let (link, _) = worker_here("this process", crew.threads.unwrap_or_else(cores), backend);
+        return Ok(Workers::Links(vec![link]));
     }
     let program = std::env::current_exe()
         .map_err(|e| CommandError::Failed(format!("cannot find this program to start workers with: {e}")))?;
@@ -485,18 +486,18 @@ fn workers(crew: &LocalCrew, log: &LogArgs) -> Result<Workers, CommandError> {
     }))
 }
 
-/// A worker within this process: the same code as in a process of its own, behind in-memory pipes.
-pub fn worker_here(threads: u32, backend: Backend) -> Link {
+/// A worker within this process, and its task: the same code as in a process of its own, behind in-memory pipes.
+pub fn worker_here(name: &str, threads: u32, backend: Backend) -> (Link, tokio::task::JoinHandle<()>) {
     let (link, pipes) = Link::in_memory();
     let Pipes { control_in, control_out, bulk_in, bulk_out } = pipes;
     let pipes = WorkerPipes { control_in, control_out, bulk_in, bulk_out };
-    let config = WorkerConfig { name: "this process".into(), threads, backend, memory: None, cache: None };
-    tokio::spawn(async move {
+    let config = WorkerConfig { name: name.into(), threads, backend, memory: None, cache: None };
+    let task = tokio::spawn(async move {
         if let Err(error) = tessera_worker::serve(pipes, config).await {
-            tracing::debug!("the worker in this process ended: {error}");
+            tracing::debug!("a worker in this process ended: {error}");
         }
     });
-    link
+    (link, task)
 }
 
 /// What carries sockets and timers.

@@ -43,6 +43,7 @@ pub fn job(pack: &Pack, [width, height]: [u32; 2], tile: u32, format: PixelForma
         height,
         tile,
         samples: 1,
+        sampling: Default::default(),
         depth: 2,
         seed: 0,
         features: tessera_wire::Features::default(),

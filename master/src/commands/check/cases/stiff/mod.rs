@@ -14,10 +14,30 @@ use tessera_worker::{Backend, BackendChoice, BackendConfig};
 use world::Trial;
 
 pub const CASES: &[Case] = &[
-    Case { id: "19", input: "a triangle of 2^22 voxels beside a million of two", judge: "C, I, B: no hole, brute force", run: Run::Once(sizes) },
-    Case { id: "28-rows", input: "frames of 1 x 1 to 16,384 x 16,384, rows streamed", judge: "I: the hash of the whole image", run: Run::Once(rows) },
-    Case { id: "43-speeds", input: "a worker a thousand times slower than the others", judge: "I: each tile once, nobody waits for it", run: Run::Once(speeds) },
-    Case { id: "43-costs", input: "tiles that cost a hundred thousand times as much", judge: "I: each tile once, one picture", run: Run::Once(costs) },
+    Case {
+        id: "19-field",
+        input: "a triangle of 2^22 voxels beside a million of two",
+        judge: "C, I, B: no hole, brute force",
+        run: Run::Once(sizes),
+    },
+    Case {
+        id: "28-rows",
+        input: "frames of 1 x 1 to 16,384 x 16,384, rows streamed",
+        judge: "I: the hash of the whole image",
+        run: Run::Once(rows),
+    },
+    Case {
+        id: "43-speeds",
+        input: "a worker a thousand times slower than the others",
+        judge: "I: each tile once, nobody waits for it",
+        run: Run::Once(speeds),
+    },
+    Case {
+        id: "43-costs",
+        input: "tiles that cost a hundred thousand times as much",
+        judge: "I: each tile once, one picture",
+        run: Run::Once(costs),
+    },
 ];
 
 fn speeds(effort: Effort) -> Outcome {
@@ -32,7 +52,11 @@ fn speeds(effort: Effort) -> Outcome {
         }
     }
     let got = format!("{trials} frames complete and equal; at most {worst:.3} of the time that is allowed");
-    Ok(Finding::holds("every tile once; no longer than without the slow ones, and until they are late", got, worst <= 1.0))
+    Ok(Finding::holds(
+        "every tile once; no longer than without the slow ones, and until they are late",
+        got,
+        worst <= 1.0,
+    ))
 }
 
 fn costs(effort: Effort) -> Outcome {
@@ -79,7 +103,8 @@ fn in_clusters(pack: &Pack, tile: u32, crews: &[usize]) -> Result<Vec<String>, S
 async fn start(pack: &Pack, crew: usize) -> Result<Cluster, String> {
     let cpu = BackendConfig { choice: BackendChoice::Cpu, ..BackendConfig::default() };
     let backend = Backend::open(&cpu).map_err(|e| e.to_string())?;
-    let links: Vec<Link> = (0..crew).map(|_| worker_here(1, backend.clone())).collect();
+    let links: Vec<Link> =
+        (0..crew).map(|index| worker_here(&format!("worker {index}"), 1, backend.clone()).0).collect();
     let cluster = Cluster::start(Workers::Links(links), ClusterConfig::default()).await;
     let mut cluster = cluster.map_err(|e| e.to_string())?;
     cluster.load(pack, |_| ()).await.map_err(|e| e.to_string())?;

@@ -79,6 +79,7 @@ pub fn corner_job(pack: &Pack, tile: u32, balance: Balance) -> FrameJob {
         height: tile * CORNER_TILES,
         tile,
         samples: 1,
+        sampling: Default::default(),
         depth: DEPTH,
         seed: 0,
         features: tessera_wire::Features::default(),
@@ -111,6 +112,7 @@ pub fn corner_costs(pack: &Pack, tile: u32) -> Costs {
         width: job.width,
         height: job.height,
         samples: job.samples,
+        sampling: Default::default(),
         max_depth: job.depth,
         frame: job.seed,
         features: Features::default(),
@@ -201,12 +203,14 @@ pub struct Sight {
 /// # Errors
 /// Those of preparing, and a pack that has lost the field.
 pub fn look_at(scene: Scene, rays: usize, judge: usize) -> Result<Sight, String> {
+    // The field comes last in the scene.
+    let others: usize =
+        scene.meshes.iter().rev().skip(1).flat_map(|mesh| &mesh.primitives).map(|p| p.triangles.len()).sum();
     let options = PrepareOptions::default();
     let prepared = prepare_scene(scene, &options, Duration::ZERO).map_err(|e| e.to_string())?;
     let pack = &prepared.pack;
     let (mesh, tree) = (pack.mesh(), pack.tree());
-    // The field comes last in the scene; a huge triangle and a speck before it do not count.
-    let is_field = |id: u32| pack.triangle_count() < 10 || pack.original_id(id) >= 5;
+    let is_field = |id: u32| pack.original_id(id) as usize >= others;
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     for id in (0..pack.triangle_count()).filter(|&id| is_field(id)) {
         for p in tessera_kdtree::Triangles::vertices(&mesh, id) {

@@ -86,6 +86,7 @@ fn job(trial: &Trial<'_>) -> FrameJob {
         height: trial.tiles[0] * SIDE,
         tile: SIDE,
         samples: 1,
+        sampling: Default::default(),
         depth: 1,
         seed: 0,
         features: Features::default(),
