@@ -24,6 +24,7 @@ mod rays;
 mod scenes;
 mod service;
 mod simulation;
+mod stiff;
 mod support;
 mod tidy;
 mod variants;

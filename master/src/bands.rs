@@ -34,6 +34,15 @@ impl Canvas {
         Self::Bands(Bands { grid, format, next: 0, held: BTreeMap::new() })
     }
 
+    /// Tiles that may wait for one above them before it is worth rendering that one twice; `None` if it makes no difference: four bands,
+    /// beside those that workers are at.
+    pub(crate) fn may_wait(&self) -> Option<u32> {
+        match self {
+            Self::Whole(_) => None,
+            Self::Bands(bands) => Some(4 * bands.grid.columns()),
+        }
+    }
+
     /// Forgets what was put in. A whole image is written over instead.
     pub(crate) fn restart(&mut self) {
         if let Self::Bands(bands) = self {
@@ -77,7 +86,7 @@ impl Canvas {
 }
 
 /// The rows of tiles of an image that have begun and are not taken. Tiles that come in order keep few of them: those that workers are at.
-/// A tile that does not come keeps all below it.
+/// A tile that does not come keeps all below it, until another worker is given it too.
 #[derive(Debug)]
 pub(crate) struct Bands {
     grid: TileGrid,

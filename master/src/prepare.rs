@@ -14,7 +14,8 @@ use tessera_pack::{
     format::{HEADER_LEN, check_header},
 };
 use tessera_scene::{
-    AlphaMode, Camera, FlatMesh, LeftOut, LoadOptions, Scene, SceneError, Selection, TextureRef, Without,
+    AlphaMode, Camera, FlatMesh, FlatObject, LeftOut, LoadOptions, Scene, SceneError, Selection, TextureRef,
+    Without,
 };
 use tessera_wire::limits;
 
@@ -219,7 +220,7 @@ pub fn prepare_scene_with(
     on_stage: impl FnMut(PackStage),
 ) -> Result<Prepared, PrepareError> {
     let start = Instant::now();
-    let flat = scene.flatten()?;
+    let mut flat = scene.flatten()?;
     let mut selection = Selection::of(&scene, &flat, options.without);
     let keeps_unused = options.forced == Some(Forced::Unused);
     if keeps_unused {
@@ -234,6 +235,8 @@ pub fn prepare_scene_with(
         dropped: std::mem::take(&mut scene.dropped),
         stats: PackStats::default(),
     };
+    let objects = std::mem::take(&mut flat.objects);
+    let meshes: Vec<_> = scene.meshes.iter_mut().map(|mesh| std::mem::take(&mut mesh.name)).collect();
     // A large scene's own vertices are not needed any more; packing wants the memory.
     scene.meshes = Vec::new();
     let input = pack_input(&scene, flat, &selection, &options.without, keeps_unused);
@@ -249,6 +252,9 @@ pub fn prepare_scene_with(
     warnings.extend_from_slice(&stats.warnings);
     let mut left_out = selection.left_out;
     left_out.extend(stats.unneeded.iter().map(|u| LeftOut::counted(u.count, u.what, u.why, u.bytes)));
+    if !options.plain.positions {
+        warnings.extend(too_small(&objects, &meshes, stats.step));
+    }
     source.stats = stats;
     let timings = PrepareTimings { read, pack: start.elapsed() };
     Ok(Prepared { name, pack, cameras, source: Some(source), left_out, warnings, notes, timings })
@@ -267,6 +273,28 @@ pub fn choose_camera<'a>(cameras: &'a [Camera], name: Option<&str>) -> Result<&'
             None => "the scene has no camera; give one with --eye, --target and --fov".into(),
         }
     })
+}
+
+/// Sides of fewer voxels make an object visibly blocky: its vertices are off by half a voxel, a 128th of it at this size.
+const LEAST_VOXELS: f64 = 64.0;
+
+/// A warning if there are objects of fewer than [`LEAST_VOXELS`] voxels of side `step` along their longest side. Those without any extent
+/// are dropped, and counted where they are.
+fn too_small(objects: &[FlatObject], meshes: &[String], step: f64) -> Option<String> {
+    let voxels = |object: &&FlatObject| object.extent / step;
+    let is_small = |object: &&FlatObject| object.extent > 0.0 && voxels(object) < LEAST_VOXELS;
+    let smallest = objects.iter().filter(is_small).min_by(|a, b| a.extent.total_cmp(&b.extent))?;
+    let name = match meshes.get(smallest.mesh).map_or("", String::as_str) {
+        "" => format!("mesh {}", smallest.mesh),
+        name => format!("mesh {}", tessera_scene::import::listed(std::iter::once(name))),
+    };
+    Some(format!(
+        "{} of {} objects are smaller than {LEAST_VOXELS} voxels, the smallest, {name}, {:.1}: they come out blocky beside so large a scene; \
+         keep the vertices with --plain=positions, or leave out what is far away",
+        objects.iter().filter(is_small).count(),
+        objects.len(),
+        voxels(&smallest)
+    ))
 }
 
 /// Arrays for the packer: what the selection keeps, indices counted anew; and all images of the selection, those too that nothing names,
@@ -292,7 +320,7 @@ fn pack_input(
     for (place, &index) in (0..).zip(&selection.materials) {
         places[index] = place;
     }
-    let FlatMesh { positions, normals, uvs, colors, triangles, material_runs } = flat;
+    let FlatMesh { positions, normals, uvs, colors, triangles, material_runs, objects: _ } = flat;
     PackInput {
         positions,
         normals: if selection.normals { normals } else { Vec::new() },
@@ -541,6 +569,34 @@ mod tests {
         assert_eq!(glass.flags, MaterialFlags::ALPHA_MASK);
         assert_eq!(prepared.source.unwrap().images.len(), 3);
         assert!(prepared.left_out.iter().any(|l| l.what.contains("image")), "{:?}", prepared.left_out);
+    }
+
+    #[test]
+    fn objects_below_64_voxels_are_reported() {
+        // Beside a shape of size 1 the finest grid has voxels of 2^-23.
+        let beside = |voxels: f64, plain: bool| {
+            let mut scene = scene();
+            scene.meshes.push(scene.meshes[0].clone());
+            scene.meshes[1].name = "teapot".into();
+            for part in &mut scene.meshes[1].primitives {
+                part.positions.iter_mut().for_each(|p| *p *= voxels / 8_388_608.0);
+            }
+            let transform = glam::DMat4::from_translation(DVec3::splat(0.25));
+            let node = Node { name: String::new(), transform, mesh: Some(1), children: Vec::new() };
+            scene.nodes.push(node);
+            scene.roots.push(1);
+            let plain = Plain { positions: plain, ..Plain::default() };
+            let options = PrepareOptions { plain, ..PrepareOptions::default() };
+            prepare_scene(scene, &options, Duration::ZERO).unwrap().warnings
+        };
+        let warnings = beside(10.0, false);
+        assert_eq!(warnings.len(), 1);
+        let says = "1 of 2 objects are smaller than 64 voxels, the smallest, mesh \"teapot\", 10.0:";
+        assert!(warnings[0].starts_with(says), "{}", warnings[0]);
+        assert_eq!(beside(63.0, false).len(), 1);
+        assert_eq!(beside(65.0, false), Vec::<String>::new());
+        assert_eq!(beside(10.0, true), Vec::<String>::new(), "they are kept as they are");
+        assert_eq!(prepared(Without::default()).warnings, Vec::<String>::new());
     }
 
     #[test]

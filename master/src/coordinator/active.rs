@@ -96,6 +96,9 @@ impl Active {
         let (dispatch, assignments) =
             Dispatch::start(&self.grid, self.job.balance, self.job.samples, workers, now);
         self.dispatch = dispatch;
+        if let Some(may_wait) = self.image.may_wait() {
+            self.dispatch.keep_order(may_wait);
+        }
         assignments
     }
 

@@ -287,6 +287,49 @@ fn a_frame_that_loses_its_class_begins_again_with_another() {
 }
 
 #[test]
+fn a_frame_by_rows_begins_again_at_the_top_with_another_class() {
+    let mut fleet = Fleet::new(Duration::ZERO, &[("cpu", 5), ("gpu", 9)]);
+    let [cpu, gpu] = [WorkerId(0), WorkerId(1)];
+    fleet.events.clear();
+    let job = job(false, Balance::Dynamic);
+    fleet.master.begin_rows(&job, fleet.now).expect("a job in range");
+    fleet.settle();
+    // One row of tiles and a half.
+    for _ in 0..12 {
+        assert!(fleet.step(gpu));
+    }
+    let rows = |fleet: &Fleet| -> Vec<Vec<u8>> {
+        let rows = |event: &Event| match event {
+            Event::Rows(rows) => Some(rows.clone()),
+            _ => None,
+        };
+        fleet.events.iter().filter_map(rows).collect()
+    };
+    let band = 8 * 64 * 4;
+    assert_eq!(rows(&fleet), [vec![code("gpu"); band]]);
+    fleet.lose(gpu);
+    fleet.run();
+    // Whoever takes the rows is told, in between, to begin again.
+    let is_restart = |event: &Event| matches!(event, Event::Restarted { dropped: 12, .. });
+    let restart = fleet.events.iter().position(is_restart).expect("it is told");
+    let before = fleet.events[..restart].iter().filter(|event| matches!(event, Event::Rows(_)));
+    assert_eq!(before.count(), 1);
+    assert_eq!(rows(&fleet)[1..], vec![vec![code("cpu"); band]; 8]);
+    assert!(!fleet.step(cpu));
+    let outcome = fleet.finish();
+    assert_eq!((outcome.image.height(), outcome.image.data().len()), (0, 0), "all rows are out");
+
+    // A mix is looked at again when it is complete, and so held whole.
+    fleet.join("gpu", 9);
+    fleet.events.clear();
+    fleet.master.begin_rows(&FrameJob { mix: true, ..job }, fleet.now).expect("a job in range");
+    fleet.settle();
+    fleet.run();
+    assert_eq!(rows(&fleet), Vec::<Vec<u8>>::new());
+    assert_eq!(Fleet::codes(&fleet.finish()), BTreeSet::from([code("cpu"), code("gpu")]));
+}
+
+#[test]
 fn a_frame_without_its_class_waits_for_whoever_comes() {
     let patience = Duration::from_secs(60);
     for (comes, is_restarted) in [("gpu", false), ("cpu", true)] {

@@ -30,6 +30,10 @@ pub struct Dispatch {
     pace: Pace,
     done: u32,
     dropped: u64,
+    /// Every tile before it is in.
+    first_missing: u32,
+    /// Tiles that may wait for the first missing one while there are others to hand out; see [`Dispatch::keep_order`].
+    may_wait: u32,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -106,6 +110,8 @@ impl Dispatch {
             pace: Pace::new(balance, grid.largest_tile_pixels() * u64::from(samples)),
             done: 0,
             dropped: 0,
+            first_missing: 0,
+            may_wait: u32::MAX,
         };
         let count = workers.len() as u32;
         let assignments = match balance {
@@ -117,6 +123,12 @@ impl Dispatch {
             _ => this.hand_out(now),
         };
         (this, assignments)
+    }
+
+    /// Tiles are wanted in order: when more than so many wait for the first that is missing, and who has that one is late, it goes to the next
+    /// worker that is handed anything.
+    pub fn keep_order(&mut self, may_wait: u32) {
+        self.may_wait = may_wait;
     }
 
     /// `worker` takes part from now on: it is given what nobody has, and then what late workers have. In the static balancings the
@@ -152,7 +164,7 @@ impl Dispatch {
         let Some(hand) = self.crew.get_mut(&worker) else { return Ok(Vec::new()) };
         let wrong = Violation::Rendered { tiles, queued: hand.queued };
         hand.queued = hand.queued.checked_sub(tiles).filter(|_| tiles > 0).ok_or(wrong)?;
-        self.pace.note(tiles, now.saturating_sub(hand.since));
+        self.pace.note(worker, tiles, now.saturating_sub(hand.since));
         hand.since = now;
         hand.worn = 0.0;
         Ok(self.hand_out(now))
@@ -180,6 +192,9 @@ impl Dispatch {
         }
         state.done = true;
         self.done += 1;
+        while self.tiles.get(self.first_missing as usize).is_some_and(|tile| tile.done) {
+            self.first_missing += 1;
+        }
         if let Some(hand) = self.crew.get_mut(&worker) {
             hand.since = now;
         }
@@ -329,19 +344,42 @@ impl Dispatch {
             if hand.queued as usize >= self.credit() {
                 break;
             }
+            if let Some(late) = self.holds_up(worker, now) {
+                self.share(late, TileId(self.first_missing));
+                self.give(worker, TileId(self.first_missing), now, &mut handed);
+                continue;
+            }
             self.pool.pop_front();
             self.give(worker, tile, now, &mut handed);
         }
         while let Some((_, late, idle)) = self.late().filter(|&(at, ..)| at <= now).min() {
             // Its last, and not the one that it is at: if it is only slow, the two meet in the middle.
-            let Some(tile) = self.crew.get_mut(&late).and_then(|hand| hand.alone_with.pop()) else { break };
-            if let Some(hand) = self.crew.get_mut(&late) {
-                hand.trim(&self.tiles);
-            }
-            self.shared.push(tile);
+            let last = self.crew.get(&late).and_then(|hand| hand.alone_with.last().copied());
+            let Some(tile) = last else { break };
+            self.share(late, tile);
             self.give(idle, tile, now, &mut handed);
         }
         handed.into_assignments()
+    }
+
+    /// Who has the first missing tile alone and is late with it, if too many wait for it and `helper` is another.
+    fn holds_up(&self, helper: WorkerId, now: Duration) -> Option<WorkerId> {
+        if self.done - self.first_missing <= self.may_wait {
+            return None;
+        }
+        let first = TileId(self.first_missing);
+        let (&late, hand) = self.crew.iter().find(|(_, hand)| hand.alone_with.contains(&first))?;
+        let is_late = hand.since + self.pace.late_after(late, hand.queued, helper) <= now;
+        (late != helper && is_late).then_some(late)
+    }
+
+    /// `tile`, which `late` has alone, is about to go to another as well.
+    fn share(&mut self, late: WorkerId, tile: TileId) {
+        if let Some(hand) = self.crew.get_mut(&late) {
+            hand.alone_with.retain(|&other| other != tile);
+            hand.trim(&self.tiles);
+        }
+        self.shared.push(tile);
     }
 
     /// Tiles that a worker may hold now.
@@ -355,13 +393,21 @@ impl Dispatch {
 
     /// Workers with unfinished tiles that another one could render as well: from when on they are late, and who that is.
     fn late(&self) -> impl Iterator<Item = (Duration, WorkerId, WorkerId)> {
-        // Nobody idles while the pool has tiles. Two are enough to find one that is another.
-        let is_idle = |hand: &Hand| hand.queued == 0 && !hand.leaving;
-        let mut idle = self.crew.iter().filter(|(_, hand)| is_idle(hand)).map(|(&worker, _)| worker);
-        let idle = if self.pool.is_empty() { [idle.next(), idle.next()] } else { [None, None] };
+        // Nobody idles while the pool has tiles. The two that are the fastest are enough to find one that is another.
+        let is_idle = |hand: &Hand| hand.queued == 0 && !hand.leaving && self.pool.is_empty();
+        let mut idle = [None, None];
+        for (&worker, _) in self.crew.iter().filter(|(_, hand)| is_idle(hand)) {
+            let mut next = Some((self.pace.rank(worker), worker));
+            for place in &mut idle {
+                if place.is_none_or(|held| next.is_some_and(|next| next < held)) {
+                    std::mem::swap(place, &mut next);
+                }
+            }
+        }
+        let idle = idle.map(|place| place.map(|(_, worker)| worker));
         self.crew.iter().filter(|(_, hand)| !hand.alone_with.is_empty()).filter_map(move |(&worker, hand)| {
             let other = idle.into_iter().flatten().find(|&other| other != worker)?;
-            Some((hand.since + self.pace.late_after(hand.queued), worker, other))
+            Some((hand.since + self.pace.late_after(worker, hand.queued, other), worker, other))
         })
     }
 
@@ -546,6 +592,44 @@ mod tests {
         assert_eq!(d.accept(WorkerId(1), TileId(0), Attempt(1), NOW), Ok(false));
         assert!(d.is_done() && d.dropped() == 1);
         assert!(!d.owes(WorkerId(0)) && !d.owes(WorkerId(1)), "nothing is missing from either");
+    }
+
+    #[test]
+    fn a_tile_that_holds_up_too_many_goes_to_another_while_there_are_more() {
+        for may_wait in [4, u32::MAX] {
+            let (mut d, first) = start(100, Balance::Dynamic, 2);
+            d.keep_order(may_wait);
+            assert_eq!((given(&first, 0), given(&first, 1)), (vec![0, 2, 4], vec![1, 3, 5]));
+            let mut now = NOW;
+            let mut ours: VecDeque<_> = [1, 3, 5].into();
+            // Worker 0 is silent, worker 1 does a tile a second.
+            while let Some(tile) = ours.pop_front().filter(|_| now < NOW + 20 * SECOND) {
+                now += SECOND;
+                let attempt = Attempt(u32::from([0, 2, 4].contains(&tile)));
+                assert_eq!(d.accept(WorkerId(1), TileId(tile), attempt, now), Ok(true));
+                ours.extend(given(&d.rendered(WorkerId(1), 1, now).unwrap(), 1));
+                let waiting = d.done() - d.first_missing;
+                // Five, and what it had in hand when it was given that tile.
+                assert!(may_wait == u32::MAX || waiting <= 5 + PREFETCH as u32, "{waiting} wait");
+            }
+            assert_eq!(d.first_missing > 15, may_wait == 4, "{}", d.first_missing);
+            assert_eq!(d.done(), 20);
+        }
+    }
+
+    #[test]
+    fn the_fastest_that_idles_helps() {
+        let (mut d, first) = start(4, Balance::PaperDynamic, 4);
+        assert_eq!(given(&first, 3), [3]);
+        // Workers 0 and 3 are silent.
+        d.rendered(WorkerId(2), 1, NOW + SECOND).unwrap();
+        d.rendered(WorkerId(1), 1, NOW + SECOND / 2).unwrap();
+        let late = d.deadline().unwrap();
+        assert_eq!(late, NOW + SECOND, "two means of worker 1");
+        let again = d.tick(late);
+        assert_eq!((given(&again, 1), given(&again, 2)), (vec![0], vec![]));
+        let again = d.rendered(WorkerId(1), 1, late + SECOND / 2).unwrap();
+        assert_eq!(given(&again, 1), [3], "worker 2 would wait for a second more");
     }
 
     #[test]

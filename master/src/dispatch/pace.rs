@@ -1,8 +1,8 @@
 //! What the tiles of a frame have cost so far, and how long that lets a silent worker be trusted.
 
 use super::Balance;
-use std::time::Duration;
-use tessera_wire::ReturnMode;
+use std::{collections::BTreeMap, time::Duration};
+use tessera_wire::{ReturnMode, WorkerId};
 
 /// Costs by the master's clock: from a worker's last sign of progress to its word that it has rendered.
 #[derive(Clone, Debug)]
@@ -10,13 +10,27 @@ pub(super) struct Pace {
     balance: Balance,
     /// Samples of the largest tile.
     samples: u64,
+    /// By worker: whether one is late is for those to show that could help it. One that is a thousand times slower than they are would else
+    /// take its own time for the measure, and be left with what it has been dealt.
+    shown: BTreeMap<WorkerId, Shown>,
+}
+
+/// What a worker's tiles have cost.
+#[derive(Clone, Copy, Debug, Default)]
+struct Shown {
     tiles: u32,
     sum: Duration,
     slowest: Duration,
 }
 
+impl Shown {
+    fn mean(&self) -> Duration {
+        self.sum / self.tiles.max(1)
+    }
+}
+
 impl Pace {
-    /// An idle worker of a pull balancing renders a tile again when its holder was silent for so many mean tiles: by then it is
+    /// An idle worker of a pull balancing renders a tile again when its holder was silent for so many mean tiles of its own: by then it is
     /// slow, or the tile is hard. Less would render tiles twice that are about to come.
     const LATE_MEANS: u32 = 2;
 
@@ -48,25 +62,30 @@ impl Pace {
     const COMPARE_LEAST: Duration = Duration::from_secs(5);
 
     pub(super) fn new(balance: Balance, samples: u64) -> Self {
-        Self { balance, samples, tiles: 0, sum: Duration::ZERO, slowest: Duration::ZERO }
+        Self { balance, samples, shown: BTreeMap::new() }
     }
 
-    /// A worker took `took` for `tiles` tiles, at least one.
-    pub(super) fn note(&mut self, tiles: u32, took: Duration) {
-        self.tiles += tiles;
-        self.sum += took;
-        self.slowest = self.slowest.max(took / tiles);
+    /// `worker` took `took` for `tiles` tiles, at least one.
+    pub(super) fn note(&mut self, worker: WorkerId, tiles: u32, took: Duration) {
+        let shown = self.shown.entry(worker).or_default();
+        shown.tiles += tiles;
+        shown.sum += took;
+        shown.slowest = shown.slowest.max(took / tiles);
     }
 
-    /// How long a worker with `queued` tiles may be silent before others are asked for them as well.
-    pub(super) fn late_after(&self, queued: u32) -> Duration {
+    /// How long `worker`, with `queued` tiles, may be silent before `helper` is asked for them as well.
+    pub(super) fn late_after(&self, worker: WorkerId, queued: u32, helper: WorkerId) -> Duration {
+        // A helper that has shown nothing yet is as fast as the fastest.
+        let others = || self.shown.iter().filter(|(other, _)| **other != worker).map(|(_, shown)| shown);
+        let shown = self.shown.get(&helper).or_else(|| others().min_by_key(|shown| shown.mean()));
+        let shown = shown.copied().unwrap_or_default();
         match self.balance {
             Balance::PaperDynamic | Balance::Dynamic => {
-                let mean = self.sum / self.tiles.max(1);
+                let mean = shown.mean();
                 mean.saturating_mul(Self::LATE_MEANS).max(Self::LATE_LEAST)
             }
             Balance::PaperStatic | Balance::Static => {
-                let slowest = self.slowest.saturating_mul(Self::DEAL_LATE_SLOWEST);
+                let slowest = shown.slowest.saturating_mul(Self::DEAL_LATE_SLOWEST);
                 slowest.saturating_mul(self.tiles_a_word(queued)).max(Self::DEAL_LATE_LEAST)
             }
         }
@@ -76,15 +95,24 @@ impl Pace {
     pub(super) fn stalled_after(&self, queued: u32) -> Duration {
         let samples = u32::try_from(self.samples).unwrap_or(u32::MAX);
         let unknown = Self::STALLED_SAMPLE.saturating_mul(samples);
-        let known = self.slowest.saturating_mul(Self::STALLED_SLOWEST);
+        let known = self.slowest().saturating_mul(Self::STALLED_SLOWEST);
         let tile = unknown.max(known);
         tile.saturating_mul(self.tiles_a_word(queued)).saturating_add(Self::STALLED_LEAST)
     }
 
     /// How long a worker may take for `tiles` that nobody needs for the image.
     pub(super) fn compare_within(&self, tiles: u32) -> Duration {
-        let slowest = self.slowest.saturating_mul(Self::COMPARE_SLOWEST);
+        let slowest = self.slowest().saturating_mul(Self::COMPARE_SLOWEST);
         slowest.saturating_mul(tiles.max(1)).max(Self::COMPARE_LEAST)
+    }
+
+    /// The smaller, the more of a help `worker` is: the fastest come first, those that have shown nothing last.
+    pub(super) fn rank(&self, worker: WorkerId) -> Duration {
+        self.shown.get(&worker).map_or(Duration::MAX, Shown::mean)
+    }
+
+    fn slowest(&self) -> Duration {
+        self.shown.values().map(|shown| shown.slowest).max().unwrap_or_default()
     }
 
     /// Tiles that a worker with `queued` of them renders before its next word.
@@ -101,22 +129,29 @@ mod tests {
     use super::*;
 
     const SECOND: Duration = Duration::from_secs(1);
+    const ONE: WorkerId = WorkerId(1);
+    const OTHER: WorkerId = WorkerId(2);
 
     #[test]
-    fn what_tiles_have_cost_decides_who_is_late() {
+    fn what_tiles_have_cost_the_helper_decides_who_is_late() {
         let mut pull = Pace::new(Balance::Dynamic, 1);
-        assert_eq!(pull.late_after(3), Pace::LATE_LEAST, "nothing is known yet");
-        pull.note(2, 4 * SECOND);
-        pull.note(1, 11 * SECOND);
-        assert_eq!(pull.late_after(3), 2 * 5 * SECOND);
+        assert_eq!(pull.late_after(ONE, 3, OTHER), Pace::LATE_LEAST, "nothing is known yet");
+        pull.note(ONE, 1, 5000 * SECOND);
+        assert_eq!(pull.late_after(ONE, 3, OTHER), Pace::LATE_LEAST, "nothing is known of others");
+        pull.note(OTHER, 3, 15 * SECOND);
+        pull.note(WorkerId(3), 1, 4000 * SECOND);
+        assert_eq!(pull.late_after(ONE, 3, OTHER), 2 * 5 * SECOND);
+        assert_eq!(pull.late_after(ONE, 3, WorkerId(4)), 2 * 5 * SECOND, "it has just joined");
+        assert_eq!(pull.late_after(OTHER, 3, ONE), 2 * 5000 * SECOND, "a slow one is no help");
 
         let mut deal = Pace::new(Balance::Static, 1);
-        assert_eq!(deal.late_after(3), Pace::DEAL_LATE_LEAST);
-        deal.note(2, 6 * SECOND);
-        assert_eq!(deal.late_after(3), 4 * 3 * SECOND, "a word a tile");
+        assert_eq!(deal.late_after(ONE, 3, OTHER), Pace::DEAL_LATE_LEAST);
+        deal.note(OTHER, 2, 6 * SECOND);
+        deal.note(ONE, 1, 5000 * SECOND);
+        assert_eq!(deal.late_after(ONE, 3, OTHER), 4 * 3 * SECOND, "a word a tile");
         let mut paper = Pace::new(Balance::PaperStatic, 1);
-        paper.note(2, 6 * SECOND);
-        assert_eq!(paper.late_after(5), 5 * 4 * 3 * SECOND, "a word a list");
+        paper.note(OTHER, 2, 6 * SECOND);
+        assert_eq!(paper.late_after(ONE, 5, OTHER), 5 * 4 * 3 * SECOND, "a word a list");
     }
 
     #[test]
@@ -124,7 +159,7 @@ mod tests {
         // 128 x 128 pixels: 164 s, and a minute.
         let mut pace = Pace::new(Balance::Dynamic, 128 * 128);
         assert_eq!(pace.stalled_after(1), Duration::from_millis(163_840) + Pace::STALLED_LEAST);
-        pace.note(1, 100 * SECOND);
+        pace.note(ONE, 1, 100 * SECOND);
         assert_eq!(pace.stalled_after(1), 1000 * SECOND + Pace::STALLED_LEAST);
         // The largest frame there is does not overflow.
         let most = Pace::new(Balance::PaperStatic, 1 << 44).stalled_after(1 << 16);

@@ -20,6 +20,17 @@ pub struct FlatMesh {
     pub triangles: Vec<[u32; 3]>,
     /// `(first triangle, material)`, ascending.
     pub material_runs: Vec<(u32, u32)>,
+    /// Every use of a mesh that has a triangle, in the order of the triangles.
+    pub objects: Vec<FlatObject>,
+}
+
+/// A mesh where a node has put it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FlatObject {
+    /// Its place in [`Scene::meshes`].
+    pub mesh: usize,
+    /// Longest side of the world-space box around the finite vertices that its triangles use; 0 if there are none.
+    pub extent: f64,
 }
 
 impl Scene {
@@ -40,8 +51,13 @@ impl Scene {
         }
         let mut flat = FlatMesh::with_room(&size);
         self.walk(|mesh, to_world| {
+            let first = flat.triangles.len();
             for primitive in &self.meshes[mesh].primitives {
                 flat.append(primitive, to_world);
+            }
+            if flat.triangles.len() > first {
+                let extent = flat.extent(first);
+                flat.objects.push(FlatObject { mesh, extent });
             }
             Ok(())
         })
@@ -148,7 +164,20 @@ impl FlatMesh {
             colors: Vec::with_capacity(room(size.has_colors)),
             triangles: Vec::with_capacity(size.triangles as usize),
             material_runs: Vec::new(),
+            objects: Vec::new(),
         }
+    }
+
+    /// Longest side of the box around the triangles from `first` on.
+    fn extent(&self, first: usize) -> f64 {
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for &index in self.triangles[first..].as_flattened() {
+            let p = DVec3::from(self.positions[index as usize]);
+            if p.is_finite() {
+                (low, high) = (low.min(p), high.max(p));
+            }
+        }
+        (high - low).max_element().max(0.0)
     }
 
     /// Appends one instance; room was reserved, and what has capacity is filled.
@@ -282,6 +311,24 @@ mod tests {
             flat.triangles.iter().map(|triangle| flat.positions[triangle[0] as usize][0]).collect();
         assert_eq!(starts, [3.0, 7.0, 5.0, 1.0]);
         assert_eq!(flat.material_runs, [(0, 0)]);
+    }
+
+    #[test]
+    fn objects_are_as_large_as_where_they_stand() {
+        let mut scene = scene(&[2.0, 0.5].map(|size| DMat4::from_scale(DVec3::splat(size))));
+        let extents = |scene: &Scene| -> Vec<f64> {
+            scene.flatten().unwrap().objects.iter().map(|object| object.extent).collect()
+        };
+        assert_eq!(extents(&scene), [2.0, 0.5]);
+        // Vertices that no triangle uses do not count, nor do those that are not finite.
+        scene.meshes[0].primitives[0].positions.push(DVec3::splat(9.0));
+        scene.meshes[0].primitives[0].normals.clear();
+        assert_eq!(extents(&scene), [2.0, 0.5]);
+        scene.meshes[0].primitives[0].positions[0] = DVec3::NAN;
+        scene.meshes[0].primitives[0].positions[1] = DVec3::NAN;
+        assert_eq!(extents(&scene), [0.0, 0.0]);
+        scene.meshes[0].primitives[0].triangles.clear();
+        assert_eq!(extents(&scene), [0.0; 0]);
     }
 
     #[test]

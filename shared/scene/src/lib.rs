@@ -14,6 +14,6 @@ pub mod selection;
 
 pub use document::*;
 pub use error::SceneError;
-pub use flatten::FlatMesh;
+pub use flatten::{FlatMesh, FlatObject};
 pub use scene_file::{LoadOptions, builtin, load};
 pub use selection::{LeftOut, Selection, Without};

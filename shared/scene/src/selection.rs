@@ -242,6 +242,7 @@ mod tests {
             colors: vec![[255; 4]; 3],
             triangles: vec![[0, 1, 2], [0, 1, 1]],
             material_runs: vec![(0, 1), (1, 0)],
+            objects: Vec::new(),
         }
     }
 

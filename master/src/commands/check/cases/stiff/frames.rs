@@ -1,0 +1,107 @@
+//! Frames rendered whole and by rows.
+
+use std::path::Path;
+use tessera_geometry::{DVec3, LocalCamera, Vec3};
+use tessera_master::{
+    Balance, Cluster, FrameBuffer, FrameJob, ImageHash, OutputFile, PixelFormat, PngStream,
+};
+use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
+
+/// Width and height, and side of a tile: none, one or both sides divide, and tiles larger than the image.
+pub const SIZES: [([u32; 2], u32); 8] = [
+    ([1, 1], 128),
+    ([1, 300], 16),
+    ([300, 1], 16),
+    ([64, 64], 16),
+    ([65, 63], 16),
+    ([33, 31], 200),
+    ([150, 100], 7),
+    ([16_384, 5], 64),
+];
+
+/// A tilted square in front of the camera.
+///
+/// # Errors
+/// Those of packing.
+pub fn slope() -> Result<Pack, String> {
+    let input = PackInput {
+        positions: vec![[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, -1.0], [-1.0, 1.0, -1.0]],
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+        material_runs: vec![(0, 0)],
+        materials: vec![Material { emissive: [0.2, 0.4, 0.6], ..Material::default() }],
+        ..PackInput::default()
+    };
+    Ok(build_pack(input, &PackOptions::default()).map_err(|e| e.to_string())?.0)
+}
+
+/// A view of it that its edges cross.
+pub fn job(pack: &Pack, [width, height]: [u32; 2], tile: u32, format: PixelFormat) -> FrameJob {
+    let origin = pack.frame().to_local(DVec3::new(0.2, 0.1, 3.0));
+    FrameJob {
+        camera: LocalCamera { origin, forward: -Vec3::Z, right: Vec3::X * 0.6, up: Vec3::Y * 0.4 },
+        width,
+        height,
+        tile,
+        samples: 1,
+        sampling: Default::default(),
+        depth: 2,
+        seed: 0,
+        features: tessera_wire::Features::default(),
+        format,
+        balance: Balance::Dynamic,
+        mix: false,
+    }
+}
+
+/// One frame, held whole; every tile once.
+///
+/// # Errors
+/// Those of rendering, and a tile that was lost or doubled.
+pub async fn whole(cluster: &mut Cluster, job: &FrameJob) -> Result<FrameBuffer, String> {
+    let result = cluster.render(job, |_| ()).await.map_err(|e| e.to_string())?;
+    let tiles: u32 = result.workers.iter().map(|worker| worker.tiles).sum();
+    if tiles != job.width.div_ceil(job.tile) * job.height.div_ceil(job.tile) {
+        return Err(format!("{tiles} tiles were counted"));
+    }
+    Ok(result.image)
+}
+
+/// The same, to a PNG file by rows.
+///
+/// # Errors
+/// Those of rendering and writing.
+pub async fn by_rows(cluster: &mut Cluster, job: &FrameJob, path: &Path) -> Result<ImageHash, String> {
+    let file = OutputFile::check(path).map_err(|e| e.to_string())?;
+    let stream = PngStream::begin(&file, job.width, job.height, job.format);
+    let mut stream = stream.map_err(|e| e.to_string())?;
+    cluster.render_rows(job, &mut stream, |_| ()).await.map_err(|e| e.to_string())?;
+    stream.finish().await.map_err(|e| e.to_string())
+}
+
+/// The hashes of an image by either way.
+pub struct Hashes {
+    pub whole: ImageHash,
+    pub by_rows: ImageHash,
+}
+
+impl Hashes {
+    pub fn is_equal(&self) -> bool {
+        self.whole == self.by_rows
+    }
+}
+
+/// Renders a frame of 8 bits both ways.
+///
+/// # Errors
+/// Those of rendering and writing.
+pub async fn both_ways(
+    cluster: &mut Cluster,
+    pack: &Pack,
+    size: [u32; 2],
+    tile: u32,
+    folder: &Path,
+) -> Result<Hashes, String> {
+    let job = job(pack, size, tile, PixelFormat::Rgba8);
+    let by_rows = by_rows(cluster, &job, &folder.join("frame.png")).await?;
+    Ok(Hashes { whole: whole(cluster, &job).await?.hash(), by_rows })
+}

@@ -1,0 +1,147 @@
+//! Stiff cases: workers, tiles and triangles that differ by orders of magnitude, and frames of the smallest and the largest size.
+
+mod frames;
+mod scenes;
+mod world;
+
+use crate::commands::check::case::{Case, Effort, Finding, Outcome, Run};
+use crate::commands::run::{runtime, worker_here};
+use scenes::{Sight, corner_costs, corner_job, field, glass_corner, look_at};
+use std::time::Duration;
+use tessera_master::{Balance, Cluster, ClusterConfig, Link, Workers};
+use tessera_pack::Pack;
+use tessera_worker::{Backend, BackendChoice, BackendConfig};
+use world::Trial;
+
+pub const CASES: &[Case] = &[
+    Case {
+        id: "19-field",
+        input: "a triangle of 2^22 voxels beside a million of two",
+        judge: "C, I, B: no hole, brute force",
+        run: Run::Once(sizes),
+    },
+    Case {
+        id: "28-rows",
+        input: "frames of 1 x 1 to 16,384 x 16,384, rows streamed",
+        judge: "I: the hash of the whole image",
+        run: Run::Once(rows),
+    },
+    Case {
+        id: "43-speeds",
+        input: "a worker a thousand times slower than the others",
+        judge: "I: each tile once, nobody waits for it",
+        run: Run::Once(speeds),
+    },
+    Case {
+        id: "43-costs",
+        input: "tiles that cost a hundred thousand times as much",
+        judge: "I: each tile once, one picture",
+        run: Run::Once(costs),
+    },
+];
+
+fn speeds(effort: Effort) -> Outcome {
+    let (mut trials, mut worst) = (0, 0.0_f64);
+    for seed in 0..effort.pick(4, 40) {
+        for balance in Balance::ALL {
+            for (slowness, tiles) in world::UNEQUAL {
+                let course = world::unequal(slowness, tiles, balance, seed)?;
+                worst = worst.max(course.share);
+                trials += 1;
+            }
+        }
+    }
+    let got = format!("{trials} frames complete and equal; at most {worst:.3} of the time that is allowed");
+    Ok(Finding::holds(
+        "every tile once; no longer than without the slow ones, and until they are late",
+        got,
+        worst <= 1.0,
+    ))
+}
+
+fn costs(effort: Effort) -> Outcome {
+    // Under the virtual clock, wherever the dear tile is.
+    let mut worst = 0.0_f64;
+    for seed in 0..effort.pick(2, 20) {
+        for balance in Balance::ALL {
+            for workers in [1, 2, 5, 16] {
+                for dear in [0, 100, 255] {
+                    worst = worst.max(world::dear_tile(dear, workers, balance, seed)?.share);
+                }
+            }
+        }
+    }
+    let spread = Finding::within("share of the time allowed", worst, 1.0);
+
+    // For real.
+    let (lamps, tile) = effort.pick((8, 4), (64, 8));
+    let pack = glass_corner(lamps)?;
+    let costs = corner_costs(&pack, tile);
+    let pictures = in_clusters(&pack, tile, &effort.pick(vec![2], vec![1, 2, 5]))?;
+    let expected = format!("{} pictures of one hash, each tile once", pictures.len());
+    let ok = pictures.iter().all(|picture| *picture == pictures[0]);
+    let got = format!("a tile of {:.1e} others; hash {}", costs.ratio(), pictures[0]);
+    Ok(Finding::all([spread, Finding::holds(expected, got, ok)]))
+}
+
+/// The hash of the picture in every balancing, with so many workers in this process.
+fn in_clusters(pack: &Pack, tile: u32, crews: &[usize]) -> Result<Vec<String>, String> {
+    let mut hashes = Vec::new();
+    runtime().map_err(|e| e.to_string())?.block_on(async {
+        for &crew in crews {
+            let mut cluster = start(pack, crew).await?;
+            for balance in Balance::ALL {
+                let job = corner_job(pack, tile, balance);
+                hashes.push(frames::whole(&mut cluster, &job).await?.hash().to_string());
+            }
+            cluster.stop().await;
+        }
+        Ok(hashes)
+    })
+}
+
+async fn start(pack: &Pack, crew: usize) -> Result<Cluster, String> {
+    let cpu = BackendConfig { choice: BackendChoice::Cpu, ..BackendConfig::default() };
+    let backend = Backend::open(&cpu).map_err(|e| e.to_string())?;
+    let links: Vec<Link> =
+        (0..crew).map(|index| worker_here(&format!("worker {index}"), 1, backend.clone()).0).collect();
+    let cluster = Cluster::start(Workers::Links(links), ClusterConfig::default()).await;
+    let mut cluster = cluster.map_err(|e| e.to_string())?;
+    cluster.load(pack, |_| ()).await.map_err(|e| e.to_string())?;
+    Ok(cluster)
+}
+
+fn rows(effort: Effort) -> Outcome {
+    let pack = frames::slope()?;
+    let folder = tempfile::tempdir().map_err(|e| e.to_string())?;
+    let largest = effort.pick(1024, 16_384);
+    runtime().map_err(|e| e.to_string())?.block_on(async {
+        let mut cluster = start(&pack, 2).await?;
+        let mut parts = Vec::new();
+        for (size, tile) in frames::SIZES.into_iter().chain([([largest, largest], 128)]) {
+            parts.push(frames::both_ways(&mut cluster, &pack, size, tile, folder.path()).await?);
+        }
+        cluster.stop().await;
+        let differ = parts.iter().filter(|part| !part.is_equal()).count();
+        Ok(Finding::none(differ, parts.len(), "frames with another hash by rows than whole"))
+    })
+}
+
+fn sizes(effort: Effort) -> Outcome {
+    let (side, rays, judged) = effort.pick((100, 4_000, 64), (707, 200_000, 256));
+    let stiff = look_at(field(side, false), rays, judged)?;
+    let benign = look_at(field(side, true), rays, judged)?;
+    let warned = stiff.prepared.warnings.iter().any(|warning| warning.contains("smaller than 64 voxels"));
+    let ratio = |of: fn(&Sight) -> Duration| of(&stiff).div_duration_f64(of(&benign));
+    let times = format!(
+        "{} triangles; packing takes {:.2} times, rays {:.2} times as long as in a field as large as its scene",
+        stiff.prepared.pack.triangle_count(),
+        ratio(|sight| sight.prepared.timings.pack),
+        ratio(|sight| sight.traced)
+    );
+    Ok(Finding::all([
+        Finding::none(stiff.holes, stiff.rays, "rays pass the field"),
+        Finding::none(stiff.differ, stiff.judged, "hits other than brute force's"),
+        Finding::holds("objects below 64 voxels are reported", times, warned),
+    ]))
+}
