@@ -327,7 +327,11 @@ mod tests {
         let mut met = 0;
         for (k, ray) in rays.enumerate() {
             let expected = all_hits(&flat, &ray, Start::EYE, f64::INFINITY);
-            assert_eq!(all_hits(&tree, &ray, Start::EYE, f64::INFINITY), expected, "{what}, ray {k}: {ray:?}");
+            assert_eq!(
+                all_hits(&tree, &ray, Start::EYE, f64::INFINITY),
+                expected,
+                "{what}, ray {k}: {ray:?}"
+            );
             let Some(first) = expected.0 else { continue };
             met += 1;
             assert_eq!(Some(first), expected.1.first().copied());
@@ -435,7 +439,10 @@ mod tests {
         // The forty differ by a few roundoffs, 2^-9 of a step or so: about one ray in 500 meets a border.
         assert!(ties >= 495, "only {ties} of 500");
         let rays = (0..200).map(|k| {
-            Ray::new(DVec3::new(0.0, 0.0, -2.0), (DVec3::Z + random.vector() * (f64::from(k) * 1e-3)).normalize())
+            Ray::new(
+                DVec3::new(0.0, 0.0, -2.0),
+                (DVec3::Z + random.vector() * (f64::from(k) * 1e-3)).normalize(),
+            )
         });
         check("coincident", &triangles, rays);
     }

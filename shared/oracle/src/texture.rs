@@ -131,14 +131,19 @@ mod tests {
     #[test]
     fn light_is_mixed_between_centres() {
         for wrap in [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp] {
-            for (u, wanted, alpha) in [(0.125, 0.0, 1.0), (0.25, 30.0, 0.5), (0.4375, 75.0, 0.25), (0.875, 240.0, 0.0)]
+            for (u, wanted, alpha) in
+                [(0.125, 0.0, 1.0), (0.25, 30.0, 0.5), (0.4375, 75.0, 0.25), (0.875, 240.0, 0.0)]
             {
                 let found = red(wrap, false, u);
-                assert!((found.0 - wanted).abs() < 1e-12 && (found.1 - alpha).abs() < 1e-14, "{wrap:?} {u}: {found:?}");
+                assert!(
+                    (found.0 - wanted).abs() < 1e-12 && (found.1 - alpha).abs() < 1e-14,
+                    "{wrap:?} {u}: {found:?}"
+                );
             }
         }
         // sRGB: the middle between black and white is half the light, not the light of the middle code.
-        let image = Image { name: String::new(), width: 2, height: 1, rgba: [[0; 4], [255; 4]].concat().into() };
+        let image =
+            Image { name: String::new(), width: 2, height: 1, rgba: [[0; 4], [255; 4]].concat().into() };
         let sampling = TextureRef { image: 0, wrap_s: Wrap::Clamp, wrap_t: Wrap::Clamp, nearest: false };
         let middle = Picture::new(&image).expect("whole").at([0.5, 0.5], &sampling, Coding::Srgb);
         assert_eq!(middle, (DVec3::splat(0.5), 0.5));
@@ -169,7 +174,12 @@ mod tests {
 
     #[test]
     fn a_picture_without_its_texels_is_none() {
-        let image = |width, height, bytes: usize| Image { name: String::new(), width, height, rgba: vec![0; bytes].into() };
+        let image = |width, height, bytes: usize| Image {
+            name: String::new(),
+            width,
+            height,
+            rgba: vec![0; bytes].into(),
+        };
         assert!(Picture::new(&image(2, 2, 16)).is_some());
         for broken in [image(2, 2, 15), image(0, 2, 0), image(u32::MAX, u32::MAX, 4)] {
             assert!(Picture::new(&broken).is_none());

@@ -161,8 +161,15 @@ mod tests {
             let (c, d) = (a + (whole() % 3.0) - 1.0, b + (whole() % 3.0) - 1.0);
             let exact = a as i128 * b as i128 - c as i128 * d as i128;
             let found = difference_of_products(a, b, c, d);
-            assert_eq!(found.partial_cmp(&0.0), exact.partial_cmp(&0), "{a} {b} {c} {d}: {found} for {exact}");
-            assert!((found - exact as f64).abs() <= (exact as f64).abs() * 2f64.powi(-50), "{found} for {exact}");
+            assert_eq!(
+                found.partial_cmp(&0.0),
+                exact.partial_cmp(&0),
+                "{a} {b} {c} {d}: {found} for {exact}"
+            );
+            assert!(
+                (found - exact as f64).abs() <= (exact as f64).abs() * 2f64.powi(-50),
+                "{found} for {exact}"
+            );
         }
     }
 
@@ -177,11 +184,15 @@ mod tests {
                 let share = if k % 2 == 0 { 0.0 } else { random.unit() };
                 let target = corners[0] + (corners[1] - corners[0]) * share;
                 let ray = Ray::new(origin, (target - origin).normalize());
-                let hits = triangles.iter().filter_map(|corners| ray.crosses(corners, 0)).filter(|hit| hit.t > 0.0);
+                let hits =
+                    triangles.iter().filter_map(|corners| ray.crosses(corners, 0)).filter(|hit| hit.t > 0.0);
                 let expected = (target - origin).length();
                 let nearest = hits.map(|hit| (hit.t - expected).abs()).fold(f64::INFINITY, f64::min);
                 // The target is rounded to 2^-52 of the sphere; a slanting triangle is met up to a few times that away.
-                assert!(nearest <= expected * 2f64.powi(-39), "scale {scale}, ray {k}: {nearest} off {expected}");
+                assert!(
+                    nearest <= expected * 2f64.powi(-39),
+                    "scale {scale}, ray {k}: {nearest} off {expected}"
+                );
             }
         }
     }
@@ -204,10 +215,15 @@ mod tests {
     fn what_cannot_be_met_is_missed() {
         let ray = Ray::new(DVec3::ZERO, DVec3::Z);
         let at = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
-        assert_eq!(ray.crosses(&[at(-1.0, 0.0, 1.0), at(1.0, 0.0, 1.0), at(0.0, 0.0, 3.0)], 0), None, "edge-on");
+        assert_eq!(
+            ray.crosses(&[at(-1.0, 0.0, 1.0), at(1.0, 0.0, 1.0), at(0.0, 0.0, 3.0)], 0),
+            None,
+            "edge-on"
+        );
         assert_eq!(ray.crosses(&[at(0.0, 0.0, 1.0); 3], 0), None, "a point");
         assert_eq!(ray.crosses(&[at(-1.0, -1.0, f64::NAN), at(1.0, -1.0, 1.0), at(0.0, 1.0, 1.0)], 0), None);
-        let hit = ray.crosses(&[at(-1.0, -1.0, 2.0), at(1.0, -1.0, 2.0), at(0.0, 1.0, 2.0)], 9).expect("a hit");
+        let hit =
+            ray.crosses(&[at(-1.0, -1.0, 2.0), at(1.0, -1.0, 2.0), at(0.0, 1.0, 2.0)], 9).expect("a hit");
         assert_eq!((hit.t, hit.id), (2.0, 9));
         assert_eq!(hit.weights, [0.25, 0.25, 0.5]);
     }

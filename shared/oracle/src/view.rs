@@ -171,7 +171,10 @@ mod tests {
             // One a column; and rows that are nowhere emptier than a golden lattice is (its gaps are at most g^-2 < 2.62 / count).
             assert!((0..count).all(|k| (at[k as usize][0] * f64::from(count)) as u32 == k));
             at.sort_by(|p, q| p[1].total_cmp(&q[1]));
-            let gaps = at.windows(2).map(|pair| pair[1][1] - pair[0][1]).chain([at[0][1] + 1.0 - at[count as usize - 1][1]]);
+            let gaps = at
+                .windows(2)
+                .map(|pair| pair[1][1] - pair[0][1])
+                .chain([at[0][1] + 1.0 - at[count as usize - 1][1]]);
             let widest = gaps.fold(0.0, f64::max);
             assert!(widest <= 2.62 / f64::from(count), "{count}: {widest}");
         }

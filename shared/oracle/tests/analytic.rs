@@ -139,7 +139,10 @@ fn a_plane_sends_back_what_arrives() {
     let (inside, outside) = (libm::cos(f64::from(inner)), libm::cos(f64::from(outer)));
     let share = (cosine - outside) / (inside - outside);
     assert!(0.0 < share && share < 1.0);
-    assert_near(spot.red([0.3, 0.5, 4.0], [aside, 0.0, 0.0]), 0.5 * 8.0 * cosine / distance2 / PI * share * share);
+    assert_near(
+        spot.red([0.3, 0.5, 4.0], [aside, 0.0, 0.0]),
+        0.5 * 8.0 * cosine / distance2 / PI * share * share,
+    );
     assert_eq!(spot.red([0.3, 0.5, 4.0], [2.0, 0.0, 0.0]), 0.0);
 
     // A range: 1 - (d / range)^4.
@@ -258,14 +261,19 @@ fn a_slab_shifts_what_is_behind_it() {
 #[test]
 fn light_passes_glass_veils_and_holes() {
     let lit = |material: Material| {
-        let stage = Stage::default().wall(0.0, chalk()).lamp(LightKind::Directional, [0.0; 3], [0.0, 0.0, -1.0], 1.0);
+        let stage =
+            Stage::default().wall(0.0, chalk()).lamp(LightKind::Directional, [0.0; 3], [0.0, 0.0, -1.0], 1.0);
         stage.wall(1.0, material).red([1.0, 0.0, 0.5], [0.1, 0.2, 0.0]) * PI
     };
     assert_near(lit(Material { base_color: [0.5, 1.0, 1.0, 1.0], ..glass(1.5) }), 0.5);
     // Metal passes nothing; an alpha passes the rest.
     assert_eq!(lit(Material { metallic: 1.0, ..glass(1.5) }), 0.0);
-    assert_near(lit(Material { alpha: AlphaMode::Blend, base_color: [1.0, 1.0, 1.0, 0.25], ..chalk() }), 0.75);
-    let mask = |alpha: f32| Material { alpha: AlphaMode::Mask(0.5), base_color: [1.0, 1.0, 1.0, alpha], ..chalk() };
+    assert_near(
+        lit(Material { alpha: AlphaMode::Blend, base_color: [1.0, 1.0, 1.0, 0.25], ..chalk() }),
+        0.75,
+    );
+    let mask =
+        |alpha: f32| Material { alpha: AlphaMode::Mask(0.5), base_color: [1.0, 1.0, 1.0, alpha], ..chalk() };
     assert_near(lit(mask(0.25)), 1.0);
     assert_eq!(lit(mask(0.5)), 0.0);
     // Shadows know no sides.
@@ -282,10 +290,9 @@ fn left_out_rays_take_their_share_of_the_material_with_them() {
     };
     let on = Without::default();
     let pane = || Material { thin_walled: true, specular: [0.0; 3], ..glass(1.5) };
-    assert!((radiance(pane(), on) - (0.96 + 0.04 * 2.0)).abs() < 60.0, "and a highlight");
+    assert_near(radiance(pane(), on), 0.96 + 0.04 * 2.0);
     // Without reflection what glass reflects passes too.
-    let highlight = radiance(pane(), on) - (0.96 + 0.04 * 2.0);
-    assert_near(radiance(pane(), Without { reflection: true, ..on }), 1.0 + highlight);
+    assert_near(radiance(pane(), Without { reflection: true, ..on }), 1.0);
     // Without refraction it is an opaque white body, lit by the lamp unless the far wall is in the way.
     let opaque = Without { refraction: true, ..on };
     assert_near(radiance(pane(), opaque), 0.0);
@@ -298,7 +305,8 @@ fn veils_holes_and_backs_are_looked_through() {
         let stage = Stage::default().wall(0.0, material).wall(-1.0, glow(1.0)).wall(9.0, glow(2.0));
         stage.look([0.1, 0.2, eye], [0.1, 0.2, 0.0])
     };
-    let veil = |alpha: f32| Material { alpha: AlphaMode::Blend, base_color: [0.0, 0.0, 0.0, alpha], ..chalk() };
+    let veil =
+        |alpha: f32| Material { alpha: AlphaMode::Blend, base_color: [0.0, 0.0, 0.0, alpha], ..chalk() };
     let image = behind(veil(0.25), 2.0);
     assert_near(image.color[0][0], 0.75);
     assert_eq!((image.id[0], image.depth[0]), (1, 2.0));
@@ -337,7 +345,8 @@ fn a_path_passes_64_layers() {
 
 #[test]
 fn a_miss_is_transparent_without_surroundings() {
-    let veil = Material { alpha: AlphaMode::Blend, base_color: [1.0, 1.0, 1.0, 0.25], unlit: true, ..chalk() };
+    let veil =
+        Material { alpha: AlphaMode::Blend, base_color: [1.0, 1.0, 1.0, 0.25], unlit: true, ..chalk() };
     let stage = Stage::default().quad([-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], veil);
     assert_eq!(stage.look([0.1, 0.2, 3.0], [0.1, 0.2, 0.0]).color[0], [0.25; 4]);
     let miss = stage.look([0.1, 0.2, 3.0], [5.0, 0.2, 0.0]);
@@ -383,9 +392,19 @@ fn a_texture_lies_on_its_surface() {
 #[test]
 fn many_samples_tend_to_the_share_that_is_covered() {
     // A slanting edge cuts the only pixel; by n samples its area comes out within a few parts in n: each edge adds O(log n / n).
-    let stage = Stage::default().quad([0.0, -9.0, 0.0], [9.0, 9.0, 0.0], [-9.0, 9.0, 0.0], Material { unlit: true, ..chalk() });
+    let stage = Stage::default().quad(
+        [0.0, -9.0, 0.0],
+        [9.0, 9.0, 0.0],
+        [-9.0, 9.0, 0.0],
+        Material { unlit: true, ..chalk() },
+    );
     let oracle = Oracle::new(&stage.0, Without::default()).expect("sound");
-    let pose = CameraPose { eye: DVec3::new(0.2, -9.0, 1.0), target: DVec3::new(0.2, -9.0, 0.0), up: DVec3::Y, fov_degrees: 90.0 };
+    let pose = CameraPose {
+        eye: DVec3::new(0.2, -9.0, 1.0),
+        target: DVec3::new(0.2, -9.0, 0.0),
+        up: DVec3::Y,
+        fov_degrees: 90.0,
+    };
     // The square [-0.8, 1.2] x [-1, 1] above y > |x|.
     let expected = (1.0 * 1.0 / 2.0 + 0.8 * 0.8 / 2.0 + 0.8 * 0.2) / 4.0;
     for samples in [16, 64, 256, 1024] {
@@ -413,7 +432,9 @@ fn the_tree_changes_no_bit_of_a_picture() {
             rows.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
         });
         assert_eq!(rows.into_inner(), 15);
-        assert!(fast.rays.reflection > 0 && fast.rays.shadow > 0 && fast.id.iter().any(|&id| id != NO_TRIANGLE));
+        assert!(
+            fast.rays.reflection > 0 && fast.rays.shadow > 0 && fast.id.iter().any(|&id| id != NO_TRIANGLE)
+        );
         assert!(fast == oracle.by_brute_force().render(&view, |_| ()), "{kind}");
     }
 }
@@ -476,13 +497,17 @@ fn an_unsound_scene_is_refused_in_one_line() {
         scene.name = "scene.gltf".into();
         change(&mut scene);
         let error = Oracle::new(&scene, Without::default()).err().expect("refused").to_string();
-        assert!(error.contains(says) && error.starts_with("scene.gltf: ") && error.lines().count() == 1, "{error}");
+        assert!(
+            error.contains(says) && error.starts_with("scene.gltf: ") && error.lines().count() == 1,
+            "{error}"
+        );
     }
 }
 
 fn reference() -> Reference {
     let scene = generate(&Recipe { kind: Kind::Cornell, triangles: 1000, seed: 1 }).expect("in range");
-    let view = View { pose: scene.cameras[0].pose, width: 19, height: 35, samples: 1, depth: 2, min_weight: 0.01 };
+    let view =
+        View { pose: scene.cameras[0].pose, width: 19, height: 35, samples: 1, depth: 2, min_weight: 0.01 };
     let oracle = Oracle::new(&scene, Without::default()).expect("sound");
     let image = oracle.render(&view, |_| ());
     Reference { key: Key { scene: oracle.content_hash(), without: Without::default(), view }, image }
@@ -527,7 +552,10 @@ fn a_reference_of_something_else_is_refused() {
         change(&mut key);
         assert_ne!(Reference::path_in(folder.path(), &key), path, "{says}");
         let error = Reference::load(&path, &key).expect_err("refused").to_string();
-        assert!(error.contains(says) && error.contains("render one") && error.lines().count() == 1, "{says}: {error}");
+        assert!(
+            error.contains(says) && error.contains("render one") && error.lines().count() == 1,
+            "{says}: {error}"
+        );
     }
 }
 
