@@ -17,6 +17,7 @@ mod gpu;
 mod joined;
 mod kernels;
 mod leaks;
+mod oracle;
 #[cfg(target_os = "linux")]
 mod machines;
 mod processes;

@@ -303,3 +303,166 @@ impl Slabs {
         (entry <= exit && entry <= until && exit >= from).then_some(entry)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::soup::{Random, cubes, sphere};
+
+    /// Everything about the hits of a ray, first the nearest.
+    fn all_hits(tree: &Bvh, ray: &Ray, from: Start, until: f64) -> (Option<Hit>, Vec<Hit>) {
+        let mut hits = Vec::new();
+        tree.each(ray, from, until, |hit| {
+            hits.push(*hit);
+            true
+        });
+        hits.sort_by(|p, q| p.t.total_cmp(&q.t).then(p.id.cmp(&q.id)));
+        (tree.nearest(ray, from, |_| true), hits)
+    }
+
+    /// Holds the tree to the trial of every triangle; says how many rays hit.
+    fn check(what: &str, triangles: &[[DVec3; 3]], rays: impl Iterator<Item = Ray>) -> usize {
+        let tree = Bvh::new(triangles.iter().copied());
+        let flat = Bvh::flat(triangles.iter().copied());
+        let mut met = 0;
+        for (k, ray) in rays.enumerate() {
+            let expected = all_hits(&flat, &ray, Start::EYE, f64::INFINITY);
+            assert_eq!(
+                all_hits(&tree, &ray, Start::EYE, f64::INFINITY),
+                expected,
+                "{what}, ray {k}: {ray:?}"
+            );
+            let Some(first) = expected.0 else { continue };
+            met += 1;
+            assert_eq!(Some(first), expected.1.first().copied());
+
+            // From the nearest hit on, and up to it.
+            let from = Start { t: first.t, id: first.id, leaves: first.id };
+            assert_eq!(
+                all_hits(&tree, &ray, from, f64::INFINITY),
+                all_hits(&flat, &ray, from, f64::INFINITY),
+                "{what}, ray {k} behind {first:?}"
+            );
+            let up_to = all_hits(&tree, &ray, Start::EYE, first.t).1;
+            assert_eq!(up_to, all_hits(&flat, &ray, Start::EYE, first.t).1, "{what}, ray {k}");
+            assert!(up_to.iter().all(|hit| hit.t == first.t));
+        }
+        met
+    }
+
+    #[test]
+    fn the_tree_finds_what_every_triangle_finds() {
+        let mut random = Random(1);
+        let mut soup = |count: usize, size: f64| -> Vec<[DVec3; 3]> {
+            let corners = |_| {
+                let at = random.vector();
+                [0; 3].map(|_| at + random.vector() * size)
+            };
+            (0..count).map(corners).collect()
+        };
+        let scenes = [
+            ("a few", soup(3, 1.0)),
+            ("large ones", soup(200, 1.0)),
+            ("small ones", soup(2000, 0.05)),
+            ("a sphere", sphere(20)),
+            ("cubes", cubes(5)),
+            ("cubes far away", cubes(3).iter().map(|t| t.map(|p| p + DVec3::splat(1e7))).collect()),
+            ("tiny", sphere(8).iter().map(|t| t.map(|p| p * 1e-20)).collect()),
+            ("huge", sphere(8).iter().map(|t| t.map(|p| p * 1e20)).collect()),
+        ];
+        for (what, triangles) in scenes {
+            let all = Bvh::flat(triangles.iter().copied()).bounds;
+            let size = (all.high - all.low).max_element();
+            let rays = (0..600).map(|_| {
+                let origin = all.centre() + random.vector() * size;
+                let target = triangles[(random.unit() * triangles.len() as f64) as usize][0];
+                let aim = target + random.vector() * (size * random.unit() * 0.1);
+                Ray::new(origin, (aim - origin).normalize())
+            });
+            assert!(check(what, &triangles, rays) > 10, "{what}: hardly a ray hits");
+        }
+    }
+
+    #[test]
+    fn rays_along_axes_and_in_the_planes_of_boxes_find_all() {
+        let triangles = cubes(4);
+        let mut rays = Vec::new();
+        for k in 0..9 * 9 {
+            // Origins on corners, edges and middles of the grid, before and in it.
+            let (p, q) = (f64::from(k % 9) * 0.5, f64::from(k / 9) * 0.5);
+            for axis in 0..3 {
+                for start in [-1.0, 2.0, 2.25] {
+                    let mut origin = DVec3::ZERO;
+                    (origin[axis], origin[(axis + 1) % 3], origin[(axis + 2) % 3]) = (start, p, q);
+                    rays.push(Ray::new(origin, DVec3::AXES[axis]));
+                    rays.push(Ray::new(origin, -DVec3::AXES[axis]));
+                    // Diagonal in a plane of walls, through corners.
+                    let diagonal = DVec3::AXES[axis] + DVec3::AXES[(axis + 1) % 3];
+                    rays.push(Ray::new(origin, diagonal.normalize()));
+                }
+            }
+        }
+        assert!(check("cubes", &triangles, rays.into_iter()) > 500);
+    }
+
+    #[test]
+    fn of_coincident_triangles_the_smallest_id_comes_first_and_each_comes_once() {
+        // The same triangle many times, its corners in any order, between others.
+        let base = [DVec3::new(-1.0, -1.0, 0.3), DVec3::new(1.1, -0.9, 0.1), DVec3::new(0.1, 1.2, 0.7)];
+        let mut triangles: Vec<[DVec3; 3]> = (0..40)
+            .map(|k| {
+                let mut corners = base;
+                corners.rotate_left(k % 3);
+                if k % 2 == 1 {
+                    corners.swap(0, 1);
+                }
+                corners
+            })
+            .collect();
+        triangles.extend(sphere(6).iter().map(|t| t.map(|p| p * 5.0)));
+        let mut random = Random(5);
+        let tree = Bvh::new(triangles.iter().copied());
+        let mut ties = 0;
+        for _ in 0..500 {
+            let origin = DVec3::new(0.0, 0.0, -2.0) + random.vector();
+            let inside = base[0] * 0.4 + base[1] * 0.3 + base[2] * 0.3 + random.vector() * 0.1;
+            let ray = Ray::new(origin, (inside - origin).normalize());
+            let (first, hits) = all_hits(&tree, &ray, Start::EYE, f64::INFINITY);
+            let first = first.expect("it is in the middle of them");
+            // All forty lie within roundoff; the rounding of distances makes them one unless a border of 2^-40 runs between.
+            let same = hits.iter().filter(|hit| hit.t == first.t && hit.id < 40).count();
+            ties += usize::from(same == 40 && first.id == 0);
+            let mut ids: Vec<u32> = hits.iter().map(|hit| hit.id).collect();
+            ids.sort_unstable();
+            assert!(ids.windows(2).all(|pair| pair[0] < pair[1]), "each once");
+        }
+        // The forty differ by a few roundoffs, 2^-9 of a step or so: about one ray in 500 meets a border.
+        assert!(ties >= 495, "only {ties} of 500");
+        let rays = (0..200).map(|k| {
+            Ray::new(
+                DVec3::new(0.0, 0.0, -2.0),
+                (DVec3::Z + random.vector() * (f64::from(k) * 1e-3)).normalize(),
+            )
+        });
+        check("coincident", &triangles, rays);
+    }
+
+    #[test]
+    fn nothing_and_what_is_no_number_is_met_by_no_ray() {
+        let nan = [DVec3::NAN, DVec3::X, DVec3::Y];
+        let whole = [DVec3::new(-1.0, -1.0, 1.0), DVec3::new(1.0, -1.0, 1.0), DVec3::new(0.0, 1.0, 1.0)];
+        let ray = Ray::new(DVec3::ZERO, DVec3::Z);
+        assert_eq!(Bvh::new(std::iter::empty()).nearest(&ray, Start::EYE, |_| true), None);
+        let tree = Bvh::new([nan, whole, nan].into_iter());
+        assert_eq!(tree.nearest(&ray, Start::EYE, |_| true).map(|hit| (hit.t, hit.id)), Some((1.0, 1)));
+        assert_eq!(tree.largest_coordinate(), 1.0);
+    }
+
+    #[test]
+    fn a_stack_of_equal_triangles_is_halved() {
+        // Equal centres: no border parts them.
+        let triangles = vec![[DVec3::ZERO, DVec3::X, DVec3::Y]; 1000];
+        let ray = Ray::new(DVec3::new(0.2, 0.2, -1.0), DVec3::Z);
+        assert_eq!(check("equal", &triangles, std::iter::once(ray)), 1);
+    }
+}

@@ -26,6 +26,8 @@ mod oracle;
 mod path;
 mod reference;
 mod shade;
+#[cfg(test)]
+mod soup;
 mod surface;
 mod texture;
 mod triangle;

@@ -63,12 +63,18 @@ pub(crate) fn terms(paint: &Paint, surface: &Surface, direction: DVec3, has_mirr
     let (mut passed, mut bent) = (none, None);
     if glass > 0.0 {
         let is_inside = !surface.from_front && !paint.thin_walled;
-        let (way, fresnel) = through_glass(paint, surface, direction, is_inside);
-        // From inside, what is not passed has nowhere else to go.
-        let sharp = if is_inside && has_mirrors { 1.0 } else { gloss };
-        mirror += DVec3::splat(glass * fresnel * sharp);
-        passed = c * (glass * (1.0 - fresnel));
-        bent = way;
+        match through_glass(paint, surface, direction, is_inside) {
+            Some((way, fresnel)) => {
+                let fresnel = if has_mirrors { fresnel } else { 0.0 };
+                // From inside, what is not passed has nowhere else to go.
+                let sharp = if is_inside { 1.0 } else { gloss };
+                mirror += DVec3::splat(glass * fresnel * sharp);
+                passed = c * (glass * (1.0 - fresnel));
+                bent = way;
+            }
+            None if has_mirrors => mirror += DVec3::splat(glass * if is_inside { 1.0 } else { gloss }),
+            None => {}
+        }
     }
     let width = paint.roughness * paint.roughness;
     Terms {
@@ -89,22 +95,20 @@ pub(crate) fn glass_share(paint: &Paint) -> f64 {
     if paint.unlit { 0.0 } else { paint.transmission * (1.0 - paint.metallic) }
 }
 
-/// Where glass bends a ray to (`None`: straight on) and how much of it is reflected instead.
+/// Where glass bends a ray to (no direction: straight on) and how much of it is reflected instead; `None` when all of it is.
 fn through_glass(
     paint: &Paint,
     surface: &Surface,
     direction: DVec3,
     is_inside: bool,
-) -> (Option<DVec3>, f64) {
+) -> Option<(Option<DVec3>, f64)> {
     if paint.ior == 1.0 {
-        return (None, 0.0);
+        return Some((None, 0.0));
     }
     let (here, there) = if is_inside { (paint.ior, 1.0) } else { (1.0, paint.ior) };
-    match refract(direction, surface.shading, here, there) {
-        None => (None, 1.0),
-        Some((_, fresnel)) if paint.thin_walled => (None, fresnel),
-        Some((bent, fresnel)) => (Some(onto_side(bent, -surface.facing)), fresnel),
-    }
+    let (bent, fresnel) = refract(direction, surface.shading, here, there)?;
+    let way = if paint.thin_walled { None } else { Some(onto_side(bent, -surface.facing)) };
+    Some((way, fresnel))
 }
 
 /// Direction and unpolarised reflectance of a ray that passes from a medium of index `here` into one of index `there` through a surface
@@ -192,4 +196,55 @@ pub(crate) fn local_light(
         sum += sent * share;
     }
     sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refraction_follows_snell_and_fresnel() {
+        let normal = DVec3::Y;
+        // Straight on: ((n - 1) / (n + 1))^2.
+        let (bent, reflectance) = refract(DVec3::NEG_Y, normal, 1.0, 1.5).expect("it passes");
+        assert_eq!(bent, DVec3::NEG_Y);
+        assert!((reflectance - 0.04).abs() < 1e-15);
+
+        // Slanting: the sines are as the indices, in the plane of incidence; and the way back is the same.
+        for degrees in [1.0_f64, 20.0, 45.0, 70.0, 89.9] {
+            let angle = degrees.to_radians();
+            let direction = DVec3::new(libm::sin(angle), -libm::cos(angle), 0.0);
+            let (bent, there) = refract(direction, normal, 1.0, 1.5).expect("it passes");
+            assert!((bent.x - direction.x / 1.5).abs() < 1e-15 && bent.z == 0.0 && bent.y < 0.0);
+            let (back, here) = refract(-bent, -normal, 1.5, 1.0).expect("it comes back");
+            assert!((back + direction).length() < 1e-12 && (there - here).abs() < 1e-12, "{degrees}");
+        }
+
+        // Brewster's angle: one polarisation alone is reflected, half of ((n^2 - 1) / (n^2 + 1))^2.
+        let direction = DVec3::new(1.5, -1.0, 0.0).normalize();
+        let (_, reflectance) = refract(direction, normal, 1.0, 1.5).expect("it passes");
+        let expected: f64 = (1.5 * 1.5 - 1.0) / (1.5 * 1.5 + 1.0);
+        assert!((reflectance - expected * expected / 2.0).abs() < 1e-15);
+
+        // Total reflection begins where the sine is the ratio of the indices.
+        let towards = |sine: f64| DVec3::new(sine, -(1.0 - sine * sine).sqrt(), 0.0);
+        assert!(refract(towards(1.0 / 1.5 - 1e-9), normal, 1.5, 1.0).is_some());
+        assert!(refract(towards(1.0 / 1.5 + 1e-9), normal, 1.5, 1.0).is_none());
+    }
+
+    #[test]
+    fn the_lobe_reflects_all_light_at_most() {
+        // Of light from straight above: the integral over the hemisphere of B(n.h) cos(theta), h halfway to the viewer.
+        for exponent in [0.0, 1.0, 30.0, 1024.0] {
+            let steps = 200_000;
+            let sum: f64 = (0..steps)
+                .map(|k| {
+                    let theta = (f64::from(k) + 0.5) / f64::from(steps) * PI / 2.0;
+                    highlight(libm::cos(theta / 2.0), exponent) * libm::cos(theta) * libm::sin(theta)
+                })
+                .sum();
+            let albedo = sum * 2.0 * PI * (PI / 2.0) / f64::from(steps);
+            assert!((albedo - 1.0).abs() < 1e-6, "exponent {exponent}: {albedo}");
+        }
+    }
 }

@@ -38,8 +38,8 @@ pub(crate) fn light_of(code: u8) -> f64 {
 impl Picture {
     /// `None` when it has no texels, or not those that its size asks for.
     pub(crate) fn new(image: &Image) -> Option<Self> {
-        let bytes = u64::from(image.width) * u64::from(image.height) * 4;
-        let is_whole = bytes > 0 && image.rgba.len() as u64 == bytes;
+        let bytes = u128::from(image.width) * u128::from(image.height) * 4;
+        let is_whole = bytes > 0 && image.rgba.len() as u128 == bytes;
         is_whole.then(|| Self { width: image.width, height: image.height, rgba: image.rgba.clone() })
     }
 
@@ -112,4 +112,77 @@ fn wrapped(index: i64, size: u32, wrap: Wrap) -> u32 {
     };
     // In [0, size).
     texel as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A row of four texels, red 0, 60, 120, 240, alpha 255, 0, 255, 0.
+    fn red(wrap: Wrap, nearest: bool, u: f64) -> (f64, f64) {
+        let texel = |red: u8, alpha: u8| [red, 9, 9, alpha];
+        let rgba = [texel(0, 255), texel(60, 0), texel(120, 255), texel(240, 0)].concat();
+        let image = Image { name: String::new(), width: 4, height: 1, rgba: rgba.into() };
+        let sampling = TextureRef { image: 0, wrap_s: wrap, wrap_t: wrap, nearest };
+        let (color, alpha) = Picture::new(&image).expect("whole").at([u, 0.3], &sampling, Coding::Linear);
+        (color.x * 255.0, alpha)
+    }
+
+    #[test]
+    fn light_is_mixed_between_centres() {
+        for wrap in [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp] {
+            for (u, wanted, alpha) in
+                [(0.125, 0.0, 1.0), (0.25, 30.0, 0.5), (0.4375, 75.0, 0.25), (0.875, 240.0, 0.0)]
+            {
+                let found = red(wrap, false, u);
+                assert!(
+                    (found.0 - wanted).abs() < 1e-12 && (found.1 - alpha).abs() < 1e-14,
+                    "{wrap:?} {u}: {found:?}"
+                );
+            }
+        }
+        // sRGB: the middle between black and white is half the light, not the light of the middle code.
+        let image =
+            Image { name: String::new(), width: 2, height: 1, rgba: [[0; 4], [255; 4]].concat().into() };
+        let sampling = TextureRef { image: 0, wrap_s: Wrap::Clamp, wrap_t: Wrap::Clamp, nearest: false };
+        let middle = Picture::new(&image).expect("whole").at([0.5, 0.5], &sampling, Coding::Srgb);
+        assert_eq!(middle, (DVec3::splat(0.5), 0.5));
+    }
+
+    #[test]
+    fn each_way_to_wrap() {
+        let cases = [
+            // Between the last and the first; one picture on; far out.
+            (Wrap::Repeat, [(0.0, 120.0), (1.0, 120.0), (1.25, 30.0), (-0.875, 0.0), (4097.25, 30.0)]),
+            // The border texel beside itself; back again.
+            (Wrap::Mirror, [(0.0, 0.0), (1.0, 240.0), (1.25, 180.0), (-0.25, 30.0), (4098.25, 30.0)]),
+            (Wrap::Clamp, [(0.0, 0.0), (1.0, 240.0), (1.25, 240.0), (-0.25, 0.0), (4097.25, 240.0)]),
+        ];
+        for (wrap, places) in cases {
+            for (u, wanted) in places {
+                let (found, _) = red(wrap, false, u);
+                assert!((found - wanted).abs() < 1e-9, "{wrap:?} at {u}: {found}, not {wanted}");
+            }
+        }
+        for (wrap, beyond) in [(Wrap::Repeat, 0.0), (Wrap::Mirror, 240.0), (Wrap::Clamp, 240.0)] {
+            for (u, wanted) in [(0.0, 0.0), (0.249, 0.0), (0.25, 60.0), (0.999, 240.0), (1.001, beyond)] {
+                let (found, _) = red(wrap, true, u);
+                assert!((found - wanted).abs() < 1e-12, "{wrap:?} at {u}: {found}, not {wanted}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_picture_without_its_texels_is_none() {
+        let image = |width, height, bytes: usize| Image {
+            name: String::new(),
+            width,
+            height,
+            rgba: vec![0; bytes].into(),
+        };
+        assert!(Picture::new(&image(2, 2, 16)).is_some());
+        for broken in [image(2, 2, 15), image(0, 2, 0), image(u32::MAX, u32::MAX, 4)] {
+            assert!(Picture::new(&broken).is_none());
+        }
+    }
 }

@@ -145,3 +145,86 @@ fn rounded(t: f64) -> f64 {
 pub(crate) fn normal(corners: &[DVec3; 3]) -> Option<DVec3> {
     (corners[1] - corners[0]).cross(corners[2] - corners[0]).try_normalize()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::soup::{Random, sphere};
+
+    #[test]
+    fn a_difference_of_products_has_the_sign_of_the_exact_one() {
+        let mut random = Random(7);
+        for _ in 0..100_000 {
+            // Whole numbers, so that i128 knows the truth; c d is next to a b.
+            let mut whole = || (random.unit() * 2f64.powi(52)).floor();
+            let (a, b) = (whole(), whole());
+            let (c, d) = (a + (whole() % 3.0) - 1.0, b + (whole() % 3.0) - 1.0);
+            let exact = a as i128 * b as i128 - c as i128 * d as i128;
+            let found = difference_of_products(a, b, c, d);
+            assert_eq!(
+                found.partial_cmp(&0.0),
+                exact.partial_cmp(&0),
+                "{a} {b} {c} {d}: {found} for {exact}"
+            );
+            assert!(
+                (found - exact as f64).abs() <= (exact as f64).abs() * 2f64.powi(-50),
+                "{found} for {exact}"
+            );
+        }
+    }
+
+    #[test]
+    fn no_ray_leaves_a_closed_surface_at_edges_and_vertices() {
+        let mut random = Random(3);
+        for scale in [1e-20, 1.0, 1e20] {
+            let triangles: Vec<_> = sphere(12).iter().map(|t| t.map(|corner| corner * scale)).collect();
+            for k in 0..4000 {
+                let origin = random.vector() * (0.3 * scale);
+                let corners = triangles[k % triangles.len()];
+                let share = if k % 2 == 0 { 0.0 } else { random.unit() };
+                let target = corners[0] + (corners[1] - corners[0]) * share;
+                let ray = Ray::new(origin, (target - origin).normalize());
+                let hits =
+                    triangles.iter().filter_map(|corners| ray.crosses(corners, 0)).filter(|hit| hit.t > 0.0);
+                let expected = (target - origin).length();
+                let nearest = hits.map(|hit| (hit.t - expected).abs()).fold(f64::INFINITY, f64::min);
+                // The target is rounded to 2^-52 of the sphere; a slanting triangle is met up to a few times that away.
+                assert!(
+                    nearest <= expected * 2f64.powi(-39),
+                    "scale {scale}, ray {k}: {nearest} off {expected}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_flat_view_of_a_large_triangle_keeps_its_distance() {
+        // A floor at y = -1, seen from the origin at a slope of 1e-5 in a direction that is on no axis.
+        let far = 3e5;
+        let floor = [[-far, -1.0, -far], [0.0, -1.0, far], [far, -1.0, -far]].map(DVec3::from_array);
+        let slope = 1e-5;
+        let direction = DVec3::new(0.3, -slope, 0.4).normalize();
+        let hit = Ray::new(DVec3::ZERO, direction).crosses(&floor, 4).expect("it is there");
+        let expected = 1.0 / -direction.y;
+        // The place error at the farthest corner, over the sine.
+        let bound = PLACE_ERROR * far * 2.0 / -direction.y + expected * ROUNDING;
+        assert!((hit.t - expected).abs() <= bound, "{} for {expected}, bound {bound}", hit.t);
+    }
+
+    #[test]
+    fn what_cannot_be_met_is_missed() {
+        let ray = Ray::new(DVec3::ZERO, DVec3::Z);
+        let at = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
+        assert_eq!(
+            ray.crosses(&[at(-1.0, 0.0, 1.0), at(1.0, 0.0, 1.0), at(0.0, 0.0, 3.0)], 0),
+            None,
+            "edge-on"
+        );
+        assert_eq!(ray.crosses(&[at(0.0, 0.0, 1.0); 3], 0), None, "a point");
+        assert_eq!(ray.crosses(&[at(-1.0, -1.0, f64::NAN), at(1.0, -1.0, 1.0), at(0.0, 1.0, 1.0)], 0), None);
+        let hit =
+            ray.crosses(&[at(-1.0, -1.0, 2.0), at(1.0, -1.0, 2.0), at(0.0, 1.0, 2.0)], 9).expect("a hit");
+        assert_eq!((hit.t, hit.id), (2.0, 9));
+        assert_eq!(hit.weights, [0.25, 0.25, 0.5]);
+    }
+}

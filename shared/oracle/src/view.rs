@@ -144,3 +144,59 @@ fn unit(vector: DVec3) -> Option<DVec3> {
     let largest = vector.abs().max_element();
     (largest > 0.0 && largest.is_finite()).then(|| (vector / largest).normalize())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn view() -> View {
+        let pose = CameraPose { eye: DVec3::ZERO, target: DVec3::NEG_Z, up: DVec3::Y, fov_degrees: 90.0 };
+        View { pose, width: 4, height: 2, samples: 1, depth: 3, min_weight: 0.0 }
+    }
+
+    #[test]
+    fn rays_fill_the_field_of_view_from_the_upper_left() {
+        let lens = Lens::new(&view()).expect("usable");
+        for (x, y, expected) in [(0.0, 0.0, [-2.0, 1.0]), (4.0, 2.0, [2.0, -1.0]), (2.0, 1.0, [0.0, 0.0])] {
+            let expected = DVec3::new(expected[0], expected[1], -1.0).normalize();
+            assert!((lens.ray(x, y).direction - expected).length() < 1e-15, "{x} {y}");
+        }
+    }
+
+    #[test]
+    fn samples_are_spread_evenly() {
+        assert_eq!(sample(0, 1), [0.5, 0.5]);
+        for count in [2u32, 5, 16, 89, 256] {
+            let mut at: Vec<[f64; 2]> = (0..count).map(|index| sample(index, count)).collect();
+            // One a column; and rows that are nowhere emptier than a golden lattice is (its gaps are at most g^-2 < 2.62 / count).
+            assert!((0..count).all(|k| (at[k as usize][0] * f64::from(count)) as u32 == k));
+            at.sort_by(|p, q| p[1].total_cmp(&q[1]));
+            let gaps = at
+                .windows(2)
+                .map(|pair| pair[1][1] - pair[0][1])
+                .chain([at[0][1] + 1.0 - at[count as usize - 1][1]]);
+            let widest = gaps.fold(0.0, f64::max);
+            assert!(widest <= 2.62 / f64::from(count), "{count}: {widest}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_seen_is_refused() {
+        assert_eq!(view().check(), Ok(()));
+        let broken = |change: &dyn Fn(&mut View)| {
+            let mut view = view();
+            change(&mut view);
+            view.check().expect_err("it cannot be used")
+        };
+        assert_eq!(broken(&|v| v.width = 0), ViewError::NoPixels);
+        assert_eq!(broken(&|v| (v.width, v.height) = (u32::MAX, u32::MAX)), ViewError::TooManyPixels);
+        assert_eq!(broken(&|v| v.samples = 0), ViewError::NoSamples);
+        assert_eq!(broken(&|v| v.min_weight = f64::NAN), ViewError::Weight);
+        assert_eq!(broken(&|v| v.min_weight = -1.0), ViewError::Weight);
+        assert_eq!(broken(&|v| v.pose.eye.x = f64::INFINITY), ViewError::NotFinite);
+        assert_eq!(broken(&|v| v.pose.fov_degrees = 180.0), ViewError::FieldOfView);
+        assert_eq!(broken(&|v| v.pose.target = DVec3::ZERO), ViewError::NoDirection);
+        assert_eq!(broken(&|v| v.pose.up = DVec3::Z), ViewError::UpParallel);
+        assert_eq!(broken(&|v| v.pose.up = DVec3::ZERO), ViewError::UpParallel);
+    }
+}
