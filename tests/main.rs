@@ -24,6 +24,7 @@ mod leaks;
 mod machines;
 mod processes;
 mod rays;
+mod referee;
 mod scenes;
 mod service;
 mod simulation;
