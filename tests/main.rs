@@ -22,6 +22,7 @@ mod oracle;
 mod machines;
 mod processes;
 mod rays;
+mod referee;
 mod scenes;
 mod service;
 mod simulation;

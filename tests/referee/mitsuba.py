@@ -26,13 +26,15 @@ import OpenEXR
 
 mi.set_variant("scalar_rgb")
 
-# Of the distance from the eye, where both see the same triangle: derived, like what follows, in README.md.
-DISTANCE_BOUND = 2e-6
-# Of the radiance at normal incidence, times 1 + the distance from the eye to that from the light: 3 distances and 16 roundings of f32.
-RADIANCE_BOUND = 3 * DISTANCE_BOUND + 16 * 2.0**-24
+# Half of an f32's last place, relatively.
+ROUNDOFF = 2.0**-24
+# How far a hit is off across its triangle, of its distance from the eye. Derived, like what follows, in README.md.
+HIT_BOUND = 8 * ROUNDOFF
 # Of the pixels: those that see another triangle, and those that see another shadow.
 TRIANGLE_BOUND = 1e-4
 SHADOW_BOUND = 2e-3
+# Of the pixels: those whose shadow f64 says we have wrong, or that their rays' ends do not explain.
+WRONG_BOUND = 2e-5
 # Nothing is there.
 MISS = 0xFFFFFFFF
 
@@ -149,7 +151,7 @@ def write_ply(path, part):
 
 
 def theirs(folder, scene, lights, size):
-    """Renders with Mitsuba: radiance, hit points, normals, and a number for each triangle."""
+    """Renders with Mitsuba: radiance, hit points, triangles counted through all parts (-1: none), and their colours."""
     _, parts, camera, _ = scene
     # One sample, which is not moved about in its pixel, in a box as wide as the pixel: the ray through the centre.
     film = dict(type="hdrfilm", width=size, height=size, rfilter=dict(type="box"), pixel_format="rgb")
@@ -159,7 +161,7 @@ def theirs(folder, scene, lights, size):
         "type": "scene",
         "integrator": {
             "type": "aov",
-            "aovs": "p:position,n:geo_normal,t:prim_index,s:shape_index",
+            "aovs": "p:position,n:geo_normal,c:albedo,t:prim_index",
             "image": dict(type="direct", emitter_samples=1, bsdf_samples=0),
         },
         "sensor": dict(
@@ -186,31 +188,95 @@ def theirs(folder, scene, lights, size):
         else:
             world[f"light{i}"] = dict(type="directional", direction=list(light["direction"]), irradiance=strength)
     image = np.array(mi.render(mi.load_dict(world), spp=1))
-    radiance, points, normals = image[..., :3], image[..., 3:6], image[..., 6:9]
+    radiance, points, normals, seen, number = np.split(image, [3, 6, 9, 12], axis=-1)
     hit = np.any(normals != 0, axis=-1)
-    triangle = image[..., 9].astype(np.int64) + (image[..., 10].astype(np.int64) << 32)
-    return radiance.astype(np.float64), points.astype(np.float64), hit, np.where(hit, triangle, -1)
+    # Every part has a colour of its own; its triangles are counted from its first.
+    colors = np.array([part.color for part in parts.values()])
+    part = np.argmin(np.linalg.norm(seen[:, :, None] - colors, axis=-1), axis=-1)
+    first = np.cumsum([0] + [len(p.triangles) for p in parts.values()])
+    triangles = np.where(hit, first[part] + number[..., 0].astype(np.int64), -1)
+    return radiance.astype(np.float64), points.astype(np.float64), triangles, np.where(hit[..., None], colors[part], 0)
 
 
-def same_triangles(ids, triangles):
-    """Where both see one triangle: their numbers are paired by what most pixels say, and no number may have two partners."""
+def as_theirs(ids, triangles):
+    """Our triangles by their numbers: paired by what most pixels say, and no number has two partners."""
     pairs, counts = np.unique(np.stack([ids.ravel(), triangles.ravel()]), axis=1, return_counts=True)
     partner, taken = {}, set()
-    for at in np.argsort(-counts):
+    for at in np.argsort(-counts, kind="stable"):
         mine, other = pairs[:, at]
         if mine not in partner and other not in taken:
             partner[mine] = other
             taken.add(other)
-    lookup = np.vectorize(lambda mine: partner.get(mine, -2))
-    return lookup(ids) == triangles
+    # One that is nowhere seen by both has no partner: -2.
+    return np.vectorize(lambda mine: partner.get(mine, -2))(ids)
 
 
-def at_an_edge(mask):
-    """Pixels of which some neighbour is different."""
-    padded = np.pad(mask, 1, mode="edge")
-    size = mask.shape[0]
-    near = [padded[1 + dy : 1 + dy + size, 1 + dx : 1 + dx + size] for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
-    return np.any([part != mask for part in near], axis=0)
+class Exact:
+    """The truth in f64: every triangle is tried."""
+
+    def __init__(self, parts, camera, size):
+        corners = [np.float32(p.vertices).astype(np.float64)[np.array(p.triangles)] for p in parts.values()]
+        self.corners = np.concatenate(corners)
+        self.camera, self.size = camera, size
+        edges = np.roll(self.corners, -1, axis=1) - self.corners
+        cross = np.cross(edges[:, 0], edges[:, 1])
+        double_area = np.linalg.norm(cross, axis=1)
+        self.normals = cross / double_area[:, None]
+        self.heights = double_area / np.max(np.linalg.norm(edges, axis=2), axis=1)
+        self.extent = np.max(np.ptp(self.corners.reshape(-1, 3), axis=0))
+
+    def rays(self, rows, columns):
+        """Directions through the centres of pixels."""
+        eye, target = np.array(self.camera["eye"]), np.array(self.camera["target"])
+        forward = (target - eye) / np.linalg.norm(target - eye)
+        right = np.cross(forward, [0.0, 1.0, 0.0])
+        right /= np.linalg.norm(right)
+        tangent = np.tan(np.radians(self.camera["fov"]) / 2)
+        across = lambda i: ((2 * np.asarray(i) + 1) / self.size - 1)[..., None] * tangent
+        ways = forward + across(columns) * right - across(rows) * np.cross(right, forward)
+        return ways / np.linalg.norm(ways, axis=-1, keepdims=True)
+
+    def points(self, directions, triangles):
+        """Where rays from the eye meet the planes of triangles."""
+        eye, normal = np.array(self.camera["eye"]), self.normals[triangles]
+        t = np.sum((self.corners[triangles, 0] - eye) * normal, -1) / np.sum(directions * normal, -1)
+        return eye + t[..., None] * directions
+
+    def hits(self, origin, direction):
+        """Distances along one ray, infinite where a triangle is missed (Moeller and Trumbore 1997)."""
+        a, ab, ac = self.corners[:, 0], self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]
+        p = np.cross(direction, ac)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = 1 / np.sum(ab * p, -1)
+            u = np.sum((origin - a) * p, -1) * scale
+            q = np.cross(origin - a, ab)
+            v, t = np.sum(direction * q, -1) * scale, np.sum(ac * q, -1) * scale
+        return np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf)
+
+    def verdict(self, directions, ours, theirs):
+        """Whose triangles are the first on their rays, where they differ."""
+        eye, right = np.array(self.camera["eye"]), [0, 0]
+        for row, column in np.argwhere(ours != theirs):
+            t = self.hits(eye, directions[row, column])
+            first = np.argmin(t) if np.min(t) < np.inf else -1
+            right = [count + (whose[row, column] == first) for count, whose in zip(right, (ours, theirs))]
+        return f"; the truth is with ours in {right[0]}, with theirs in {right[1]}" if np.any(ours != theirs) else ""
+
+    def is_blocked(self, point, triangle, light, as_theirs=False):
+        """Whether anything but its own triangle is between a point and a light; where Mitsuba's shadow rays begin and end, if so asked."""
+        to_light = np.array(light["position"]) - point if light["kind"] == "point" else -np.array(light["direction"])
+        if as_theirs:
+            # Its RayEpsilon and ShadowEpsilon.
+            normal = self.normals[triangle]
+            point = point + normal * np.sign(np.sum(normal * to_light)) * 1500 * ROUNDOFF * (1 + np.max(np.abs(point)))
+        if light["kind"] == "point":
+            to_light = np.array(light["position"]) - point
+            reach = np.linalg.norm(to_light) * (1 - 15000 * ROUNDOFF if as_theirs else 1)
+        else:
+            reach = np.inf
+        t = self.hits(point, to_light / np.linalg.norm(to_light))
+        t[triangle] = np.inf
+        return bool(np.min(t) < reach)
 
 
 def judge(name, make, options, work):
@@ -218,68 +284,82 @@ def judge(name, make, options, work):
     size, fine = options.size, True
     scene = make(work if make is knot else options.scenes)
     _, parts, camera, lights = scene
+    exact = Exact(parts, camera, size)
     pixels = size * size
+    directions = exact.rays(*np.meshgrid(np.arange(size), np.arange(size), indexing="ij"))
     say = lambda text: print(f"{name:8} {text}")
-    sum_ours, sum_theirs, scale_sum, shadow_any = 0.0, 0.0, 0.0, np.zeros((size, size), bool)
+    sum_ours, sum_theirs, sum_allowed, any_shadow = 0.0, 0.0, 0.0, np.zeros((size, size), bool)
     for i, light in enumerate(lights):
         mine = ours(options.tessera, work, f"{name}-{i}", scene, [light], size)
-        other, points, hit, triangles = theirs(work, scene, [light], size)
         picture = np.stack([mine[c].pixels for c in "RGB"], -1).astype(np.float64)
-        ids = mine["id.triangle"].pixels.astype(np.int64)
-        same = same_triangles(np.where(ids == MISS, -1, ids), triangles)
         if i == 0:
+            # Geometry, which is the same for all lights.
+            other, points, triangles, albedo = theirs(work, scene, [light], size)
+            hit, index = triangles >= 0, np.maximum(triangles, 0)
+            ids = mine["id.triangle"].pixels.astype(np.int64)
+            known = as_theirs(np.where(ids == MISS, -1, ids), triangles)
+            same = known == triangles
             others = np.count_nonzero(~same)
-            depth = mine["depth.Z"].pixels.astype(np.float64)
-            distance = np.linalg.norm(points - np.array(camera["eye"]), axis=-1)
             seen = same & hit
-            far = np.max(np.abs(depth[seen] - distance[seen]) / distance[seen])
-            say(f"{size} x {size} pixels, {sum(len(p.triangles) for p in parts.values())} triangles, {np.count_nonzero(hit)} pixels hit one")
-            say(f"another triangle in {others} pixels ({others / pixels:.2e}, bound {TRIANGLE_BOUND:.0e}); distances within {far:.1e} (bound {DISTANCE_BOUND:.0e})")
-            fine &= others <= TRIANGLE_BOUND * pixels and bool(far <= DISTANCE_BOUND)
-
-        # What the light would send back straight on, and how much more it matters to it where the point is than to the eye.
-        albedo = np.zeros((size, size, 3))
-        shape = triangles >> 32
-        order = {s: p.color for s, p in zip(sorted(set(shape[hit].ravel())), parts.values())}
-        for s, color in order.items():
-            albedo[(shape == s) & hit] = color
-        strength = light["intensity"] * np.array(light["color"])
-        if light["kind"] == "point":
-            way = np.linalg.norm(points - np.array(light["position"]), axis=-1)
-            strength = strength / np.maximum(way, 1e-30)[..., None] ** 2
-            leverage = 1 + np.linalg.norm(points - np.array(camera["eye"]), axis=-1) / np.maximum(way, 1e-30)
+            steep = np.abs(np.sum(exact.normals[index] * directions, -1))
+            true = np.linalg.norm(exact.points(directions, index) - np.array(camera["eye"]), axis=-1)
+            across = lambda t: np.max((np.abs(t - true) / true * steep)[seen])
+            own = across(mine["depth.Z"].pixels.astype(np.float64))
+            foreign = across(np.linalg.norm(points - np.array(camera["eye"]), axis=-1))
+            say(f"{size} x {size} pixels, {len(exact.corners)} triangles, {np.count_nonzero(hit)} pixels hit one")
+            say(f"another triangle in {others} pixels (bound {TRIANGLE_BOUND * pixels:.0f}){exact.verdict(directions, known, triangles)}")
+            say(f"hits across the triangle, of the distance: ours {own:.1e} from the truth, theirs {foreign:.1e} (bound {HIT_BOUND:.1e})")
+            fine &= others <= TRIANGLE_BOUND * pixels and max(own, foreign) <= HIT_BOUND
         else:
-            leverage = np.ones((size, size))
-        scale = np.max(albedo * strength / np.pi, axis=-1) * leverage
+            other = theirs(work, scene, [light], size)[0]
 
-        # Lit by one and dark in the other beyond rounding: a shadow.
+        # What the light would send back straight on, and how far rounding may lead from it.
+        strength = light["intensity"] * np.array(light["color"])
+        allowed = 16 * ROUNDOFF + 4 * ROUNDOFF * exact.extent / exact.heights[index]
+        if light["kind"] == "point":
+            way = np.maximum(np.linalg.norm(points - np.array(light["position"]), axis=-1), 1e-30)
+            strength = strength / way[..., None] ** 2
+            allowed = allowed + 6 * HIT_BOUND * true / (steep * way)
+        straight = np.max(albedo * strength / np.pi, axis=-1)
+        allowed = allowed * straight
+
+        # Lit by one and dark in the other beyond rounding: a shadow. The truth says whose.
         error = np.max(np.abs(picture - other), axis=-1)
         dark = [np.max(p, axis=-1) == 0 for p in (picture, other)]
-        shadow = same & hit & (dark[0] != dark[1]) & (error > RADIANCE_BOUND * scale)
-        at_edge = shadow & (at_an_edge(dark[0]) | at_an_edge(dark[1]))
-        compared = same & hit & ~shadow
-        relative = error[compared] / scale[compared]
+        shadow = seen & (dark[0] != dark[1]) & (error > allowed)
+        right, begun_late = 0, 0
+        for row, column in np.argwhere(shadow):
+            triangle = index[row, column]
+            point = exact.points(directions[row, column], triangle)
+            right += exact.is_blocked(point, triangle, light) == dark[0][row, column]
+            begun_late += exact.is_blocked(point, triangle, light, as_theirs=True) == dark[1][row, column]
+        compared = seen & ~shadow & (straight > 0)
+        relative, explained = error[compared] / straight[compared], np.max(error[compared] / allowed[compared])
         lit = ~dark[0] & ~dark[1] & compared
-        ratio = np.sum(picture[lit]) / np.sum(other[lit])
         say(
-            f"light {i}, {light['kind']}: {np.count_nonzero(lit)} pixels lit; greatest difference {np.max(relative):.1e} of its bound's"
-            f" unit, rms {np.sqrt(np.mean(relative**2)):.1e} (bound {RADIANCE_BOUND:.1e}), sum of ours / theirs {ratio:.8f};"
-            f" another shadow in {np.count_nonzero(shadow)} pixels, {np.count_nonzero(at_edge)} of them at a shadow's edge"
+            f"light {i}, {light['kind']}: {np.count_nonzero(lit)} pixels lit, sum of ours / theirs"
+            f" {np.sum(picture[lit]) / np.sum(other[lit]):.8f}; difference, of the light straight on:"
+            f" rms {np.sqrt(np.mean(relative**2)):.1e}, greatest {np.max(relative):.1e};"
+            f" at most {explained:.2f} of what rounding explains"
         )
-        only_ours = np.count_nonzero(shadow & dark[0])
-        say(f"         dark in ours alone {only_ours}, in theirs alone {np.count_nonzero(shadow) - only_ours} (bound {SHADOW_BOUND:.0e} together)")
-        fine &= bool(np.max(relative) <= RADIANCE_BOUND)
-        fine &= np.count_nonzero(shadow) <= SHADOW_BOUND * pixels
-        sum_ours, sum_theirs, scale_sum = sum_ours + picture, sum_theirs + other, scale_sum + scale
-        shadow_any |= shadow
+        disputed = np.count_nonzero(shadow)
+        if disputed:
+            say(
+                f"         another shadow in {disputed} pixels (bound {SHADOW_BOUND * pixels:.0f}), dark in ours alone"
+                f" {np.count_nonzero(shadow & dark[0])}; the truth is with ours in {right}, with theirs in {disputed - right};"
+                f" in {begun_late} it is theirs for rays that begin and end where Mitsuba's do"
+            )
+        fine &= bool(explained <= 1) and disputed <= SHADOW_BOUND * pixels and disputed - min(right, begun_late) <= WRONG_BOUND * pixels
+        sum_ours, sum_theirs, sum_allowed = sum_ours + picture, sum_theirs + other, sum_allowed + allowed
+        any_shadow |= shadow
 
     # All lights at once add up.
     mine = ours(options.tessera, work, f"{name}-all", scene, lights, size)
     picture = np.stack([mine[c].pixels for c in "RGB"], -1).astype(np.float64)
-    compared = same & hit & ~shadow_any
-    together = np.max(np.abs(picture - sum_theirs), axis=-1)[compared] / scale_sum[compared]
-    say(f"all lights together: greatest difference {np.max(together):.1e}")
-    fine &= bool(np.max(together) <= RADIANCE_BOUND)
+    compared = seen & ~any_shadow & (sum_allowed > 0)
+    together = np.max(np.max(np.abs(picture - sum_theirs), axis=-1)[compared] / sum_allowed[compared])
+    say(f"all lights together: at most {together:.2f} of what rounding explains")
+    fine &= bool(together <= 1)
 
     # The quantised mesh moves vertices by up to half a voxel: said, not judged.
     packed = ours(options.tessera, work, f"{name}-packed", scene, lights, size, more=())
