@@ -17,9 +17,9 @@ mod gpu;
 mod joined;
 mod kernels;
 mod leaks;
-mod oracle;
 #[cfg(target_os = "linux")]
 mod machines;
+mod oracle;
 mod processes;
 mod rays;
 mod referee;

@@ -31,13 +31,22 @@ fn check(scene: &Scene, without: Without) {
     let up = right.cross(pose.target - pose.eye).normalize();
     let pixel = 2.0 * libm::tan(pose.fov_degrees.to_radians() * 0.5) / f64::from(SIZE)
         * (pose.target - pose.eye).length();
-    let near: Vec<OracleImage> = [(1.0, 0.3), (-1.0, -0.3), (0.3, -1.0), (-0.3, 1.0), (1.0, -0.8), (-0.8, 1.0), (0.4, 0.4), (-0.4,-0.4)]
-        .into_iter()
-        .map(|(x, y)| {
-            let turn = (right * x + up * y) * (pixel * TURN);
-            by_oracle(&oracle, &CameraPose { target: pose.target + turn, ..pose })
-        })
-        .collect();
+    let near: Vec<OracleImage> = [
+        (1.0, 0.3),
+        (-1.0, -0.3),
+        (0.3, -1.0),
+        (-0.3, 1.0),
+        (1.0, -0.8),
+        (-0.8, 1.0),
+        (0.4, 0.4),
+        (-0.4, -0.4),
+    ]
+    .into_iter()
+    .map(|(x, y)| {
+        let turn = (right * x + up * y) * (pixel * TURN);
+        by_oracle(&oracle, &CameraPose { target: pose.target + turn, ..pose })
+    })
+    .collect();
 
     let (mut wrong, mut wrong_unexplained, mut off, mut off_unexplained) = (0, 0, 0, 0);
     let mut worst = 0.0_f64;
@@ -48,7 +57,10 @@ fn check(scene: &Scene, without: Without) {
             wrong += 1;
             if !near.iter().any(|image| image.id[k] == kernel.id[k]) {
                 wrong_unexplained += 1;
-                lines.push(format!("  id {x},{y}: {} for {} at {} {}", kernel.id[k] as i32, truth.id[k] as i32, kernel.depth[k], truth.depth[k]));
+                lines.push(format!(
+                    "  id {x},{y}: {} for {} at {} {}",
+                    kernel.id[k] as i32, truth.id[k] as i32, kernel.depth[k], truth.depth[k]
+                ));
             }
             continue;
         }
@@ -67,12 +79,18 @@ fn check(scene: &Scene, without: Without) {
         };
         if !(0..4).all(is_within) {
             off_unexplained += 1;
-            lines.push(format!("  color {x},{y}: id {} {:?} for {:?}", truth.id[k] as i32, kernel.color[k], truth.color[k]));
+            lines.push(format!(
+                "  color {x},{y}: id {} {:?} for {:?}",
+                truth.id[k] as i32, kernel.color[k], truth.color[k]
+            ));
         }
     }
     println!(
         "{:40} {:7} triangles {without:?}: wrong {wrong} ({wrong_unexplained}) off {off} ({off_unexplained}) worst {worst:.2e}; {:.2} s, {} rays",
-        scene.name, oracle.triangles(), time.as_secs_f64(), truth.rays.total()
+        scene.name,
+        oracle.triangles(),
+        time.as_secs_f64(),
+        truth.rays.total()
     );
     for line in lines.iter().take(12) {
         println!("{line}");
@@ -80,7 +98,8 @@ fn check(scene: &Scene, without: Without) {
 }
 
 fn by_oracle(oracle: &Oracle, pose: &CameraPose) -> OracleImage {
-    let view = View { pose: *pose, width: SIZE, height: SIZE, samples: 1, depth: DEPTH, min_weight: 1.0 / 512.0 };
+    let view =
+        View { pose: *pose, width: SIZE, height: SIZE, samples: 1, depth: DEPTH, min_weight: 1.0 / 512.0 };
     view.check().expect("a usable view");
     oracle.render(&view, |_| ())
 }

@@ -3,7 +3,7 @@
 use crate::output::{OutputError, OutputFile};
 use crate::png::write_png;
 use std::fmt;
-use std::io::{Seek, Write};
+use std::io::{self, Seek, Write};
 
 pub use tessera_wire::PixelFormat;
 
@@ -186,6 +186,31 @@ impl FrameBuffer {
         let mut hasher = ImageHasher::new(self.width, self.height, self.format);
         hasher.update(&self.data);
         hasher.finish()
+    }
+
+    /// The image, of 8 or 16 bits, as a PNG file in memory.
+    ///
+    /// # Errors
+    /// It is one of layers, or there is no memory.
+    pub fn to_png(&self) -> io::Result<Vec<u8>> {
+        if self.format == PixelFormat::Layers {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "PNG files hold no layers"));
+        }
+        let mut file = Vec::new();
+        write_png(self.width, self.height, self.format, std::iter::once(Ok(&self.data)), &mut file)?;
+        Ok(file)
+    }
+
+    /// Alpha of each pixel, [0, 1], rows from the top.
+    pub fn alpha(&self) -> Vec<f32> {
+        let pixels = self.data.chunks_exact(self.format.bytes_per_pixel());
+        pixels
+            .map(|pixel| match self.format {
+                PixelFormat::Rgba8 => f32::from(pixel[3]) / 255.0,
+                PixelFormat::Rgba16 => f32::from(u16::from_le_bytes([pixel[6], pixel[7]])) / 65_535.0,
+                PixelFormat::Layers => f32::from_le_bytes([pixel[12], pixel[13], pixel[14], pixel[15]]),
+            })
+            .collect()
     }
 
     /// Writes the image to `file`: EXR for [`PixelFormat::Layers`], else PNG.

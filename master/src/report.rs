@@ -1,5 +1,6 @@
 //! What is said about a render: one JSON object, or text for people.
 
+use crate::compare::Comparison;
 use crate::{ClassDifference, ClassPart, FrameJob, FrameResult, ImageHash, PixelFormat, Prepared};
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -76,6 +77,8 @@ pub struct RenderReport {
     /// Rendered tiles that came twice or too late, and were dropped: after a worker was lost,
     /// or was so late that another one was given its tile too.
     pub dropped_tiles: u64,
+    /// How far the picture is from a truer one; null unless that was asked for.
+    pub error: Option<ErrorReport>,
     /// What was left out, and why.
     pub left_out: Vec<LeftOutLine>,
     /// What was read but not understood, or mended.
@@ -195,6 +198,57 @@ pub struct Rays {
     pub refraction: u64,
 }
 
+/// How far a picture is from a truer one.
+#[derive(Clone, Debug, Serialize)]
+pub struct ErrorReport {
+    /// What it was compared with.
+    pub against: String,
+    /// With ever more samples a pixel; the last is the picture.
+    pub steps: Vec<ErrorStep>,
+}
+
+/// A picture of so many samples a pixel, and its error.
+#[derive(Clone, Debug, Serialize)]
+pub struct ErrorStep {
+    /// Samples a pixel.
+    pub samples: u32,
+    /// Time of its frame.
+    pub frame_ms: f64,
+    /// Time of its frame and all before it.
+    pub total_ms: f64,
+    /// From the truer picture.
+    pub error: Comparison,
+}
+
+impl ErrorStep {
+    /// Heads the columns of [`ErrorStep::text`].
+    pub const HEAD: &str =
+        "samples   frame ms   total ms       RMSE   PSNR dB      SSIM      FLIP  other triangle";
+
+    /// What a frame took, and its error.
+    pub fn new(samples: u32, frame: Duration, total: Duration, error: Comparison) -> Self {
+        Self { samples, frame_ms: ms(frame), total_ms: ms(total), error }
+    }
+
+    /// A line of figures.
+    pub fn text(&self) -> String {
+        let Comparison { rmse, psnr_db, ssim, flip, wrong_id_share, .. } = self.error;
+        let or = |value: Option<f64>, digits: usize, none: &str| {
+            value.map_or_else(|| none.to_owned(), |value| format!("{value:.digits$}"))
+        };
+        format!(
+            "{:>7} {:>10.1} {:>10.1} {rmse:>10.3e} {:>9} {:>9} {:>9} {:>15}",
+            self.samples,
+            self.frame_ms,
+            self.total_ms,
+            or(psnr_db, 2, "equal"),
+            or(ssim, 5, "-"),
+            or(flip, 5, "-"),
+            or(wrong_id_share.map(|share| 100.0 * share), 4, "-") + " %"
+        )
+    }
+}
+
 /// Something that was left out.
 #[derive(Clone, Debug, Serialize)]
 pub struct LeftOutLine {
@@ -234,6 +288,8 @@ pub struct RenderFacts<'a> {
     pub start: Duration,
     /// Time that writing the file took beyond the frame's own.
     pub write: Duration,
+    /// How far the picture is from a truer one, if that was asked for.
+    pub error: Option<ErrorReport>,
 }
 
 /// Samples a pixel that so many rays from the eye are. Layers of many samples have one ray more a pixel, through its centre.
@@ -246,8 +302,19 @@ fn mean_samples(job: &FrameJob, primary: u64) -> f64 {
 impl RenderReport {
     /// Puts together what the parts of a render know.
     pub fn new<I>(facts: RenderFacts<'_>, result: &FrameResult<I>) -> Self {
-        let RenderFacts { prepared, job, camera, backend_note, kernel, gpu_kernel, out, hash, start, write } =
-            facts;
+        let RenderFacts {
+            prepared,
+            job,
+            camera,
+            backend_note,
+            kernel,
+            gpu_kernel,
+            out,
+            hash,
+            start,
+            write,
+            error,
+        } = facts;
         let traffic = &result.traffic;
         let udp = traffic.udp_sent + traffic.udp_received;
         Self {
@@ -312,6 +379,7 @@ impl RenderReport {
                 refraction: result.rays.refraction,
             },
             dropped_tiles: result.dropped_tiles,
+            error,
             left_out: prepared.left_out.iter().map(LeftOutLine::from).collect(),
             warnings: prepared.warnings.clone(),
             notes: prepared.notes.clone(),
@@ -379,6 +447,13 @@ impl RenderReport {
         }
         self.write_classes(t)?;
         writeln!(t, "wire       {}", bytes(self.bytes_on_wire))?;
+        if let Some(error) = &self.error {
+            writeln!(t, "error      against {}", error.against)?;
+            writeln!(t, "           {}", ErrorStep::HEAD)?;
+            for step in &error.steps {
+                writeln!(t, "           {}", step.text())?;
+            }
+        }
         write_lists(t, &self.left_out, &self.warnings, &self.notes)?;
         let mixed =
             if self.classes.is_empty() { "" } else { " (of mixed classes: comparable with no other)" };

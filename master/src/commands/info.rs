@@ -290,7 +290,7 @@ impl From<TreeStats> for Nodes {
 }
 
 /// Sections that make up the mesh; the cell table is counted with the tables.
-const MESH_SECTIONS: [Section; 9] = [
+pub const MESH_SECTIONS: [Section; 9] = [
     Section::Records,
     Section::Positions,
     Section::Normals,

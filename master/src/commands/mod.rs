@@ -1,5 +1,6 @@
 //! The command line.
 
+mod against;
 mod args;
 mod backend;
 mod bench;
@@ -8,15 +9,16 @@ mod compare;
 mod demo;
 mod doctor;
 mod error;
+mod fit;
 mod info;
 mod info_text;
 mod interrupt;
 mod join;
 mod master;
 mod pack;
-#[allow(dead_code, unused_imports, reason = "the benches that report by pages follow")]
 mod page;
 mod progress;
+mod reference;
 mod render;
 mod run;
 mod why;
@@ -218,6 +220,13 @@ impl Cli {
             Command::Worker(args) => worker::run(args),
         }
     }
+}
+
+/// Where a desktop keeps `what` can be had again (XDG Base Directory Specification 0.8: only absolute paths count).
+fn cache_folder(what: &str) -> Option<PathBuf> {
+    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let home = || absolute("HOME").map(|home| home.join(".cache"));
+    absolute("XDG_CACHE_HOME").or_else(home).map(|folder| folder.join("tessera").join(what))
 }
 
 /// Prints one JSON object to stdout.

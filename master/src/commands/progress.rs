@@ -33,6 +33,12 @@ impl Progress {
         current
     }
 
+    /// A line that stays.
+    pub fn line(&self, text: &str) {
+        let bar = self.bar(String::new(), "{msg}");
+        bar.0.println(text);
+    }
+
     /// A step of unknown length.
     pub fn step(&self, what: impl Into<String>) -> Bar {
         let bar = self.bar(what.into(), "{spinner} {msg} {elapsed}");

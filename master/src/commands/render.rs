@@ -1,5 +1,6 @@
 //! `tessera render`.
 
+use super::against::{self, Against, Subject};
 use super::args::{Size, Triple, coded_error, field_of_view, weight};
 use super::backend::BackendArgs;
 use super::progress::Progress;
@@ -45,6 +46,13 @@ pub struct RenderArgs {
     /// The scene is read and packed here; the pack is sent unless the master has it, and the picture comes back.
     #[arg(long, value_name = "STRING|@FILE", conflicts_with_all = ["workers", "threads", "kernel", "backend", "gpu"])]
     master: Option<String>,
+    /// Say how far the picture is from a truer one, beside the time that it took
+    ///
+    /// FILE is an EXR file, or one of the picture's own kind; plain is the same frame of plain vertices, spp:N the one of so many samples a
+    /// pixel, oracle what an f64 tracer over the scene as its file states it sees (kept for the next time). The frame is rendered with 1, 2,
+    /// 4, ... samples first, so that the error is seen to fall; the last picture is the one that is written.
+    #[arg(long, value_name = "FILE|plain|spp:N|oracle[:N]")]
+    error_against: Option<Against>,
     #[command(flatten)]
     frame: FrameArgs,
 }
@@ -154,12 +162,16 @@ enum Bits {
 }
 
 pub fn run(args: RenderArgs, progress: &Progress) -> Result<(), CommandError> {
-    let RenderArgs { scene, out, workers, master, frame } = args;
+    let RenderArgs { scene, out, workers, master, error_against, frame } = args;
+    if let Some(against) = &error_against {
+        against.check(&scene, &out)?;
+    }
     let crew = match master {
         Some(join) => Crew::Master(super::join::parse(&join, "--master")?),
         None => Crew::Local(frame.local_crew(workers)),
     };
-    let plan = Plan::check(&out, Some(&scene.scene), crew, &frame, &scene.packing)?;
+    let mut plan = Plan::check(&out, Some(&scene.scene), crew, &frame, &scene.packing)?;
+    plan.against = error_against.as_ref().map(|against| (against, &scene));
     let plan = plan.with_backend(progress)?;
     let prepared = prepare_scene(&scene.scene, &scene.packing, progress)?;
     plan.render(&prepared, progress)
@@ -173,6 +185,8 @@ pub struct Plan<'a> {
     features: Features,
     crew: Crew,
     args: &'a FrameArgs,
+    /// What the picture is compared with, and of what scene it is.
+    against: Option<(&'a Against, &'a SceneArgs)>,
 }
 
 impl<'a> Plan<'a> {
@@ -211,7 +225,7 @@ impl<'a> Plan<'a> {
                 }
             }
         }
-        Ok(Self { out, report, format, features, crew, args })
+        Ok(Self { out, report, format, features, crew, args, against: None })
     }
 
     /// Settles what renders (see [`Crew::settle_backend`]).
@@ -244,10 +258,17 @@ impl<'a> Plan<'a> {
             mix: args.mix,
         };
         let mut session = Session::open(&prepared.pack, &self.crew, progress)?;
-        let frame = self.render_to_file(&mut session, &job);
+        let frame = match self.against {
+            None => self.render_to_file(&mut session, &job).map(|frame| (frame, None)),
+            Some((against, scene)) => {
+                let subject = Subject { scene, pose, job: &job };
+                let found = against::render(against, &subject, &mut session, progress);
+                found.and_then(|(frame, error)| Ok((self.write(frame)?, Some(error))))
+            }
+        };
         let start = session.start();
         session.close();
-        let frame = frame?;
+        let (frame, error) = frame?;
         let Written { hash, write } = frame.image;
         let facts = RenderFacts {
             prepared,
@@ -264,6 +285,7 @@ impl<'a> Plan<'a> {
             hash,
             start,
             write,
+            error,
         };
         let report = RenderReport::new(facts, &frame);
         if let Some(file) = &self.report {
@@ -281,7 +303,10 @@ impl<'a> Plan<'a> {
         if self.format != PixelFormat::Layers {
             return session.render_to_png(job, &self.out);
         }
-        let frame = session.render(job)?;
+        self.write(session.render(job)?)
+    }
+
+    fn write(&self, frame: FrameResult) -> Result<FrameResult<Written>, CommandError> {
         let begin = Instant::now();
         frame.image.write(&self.out).map_err(CommandError::failed)?;
         let write = begin.elapsed();

@@ -136,6 +136,12 @@ pub struct LocalCrew {
 }
 
 impl LocalCrew {
+    /// All cores of this machine, from within this process.
+    pub fn this_process() -> Self {
+        let backend = BackendArgs { backend: BackendFlag::Cpu, ..BackendArgs::default() };
+        Self { workers: 0, threads: None, backend, opened: None, note: None, is_left_to_us: false }
+    }
+
     /// The same on the CPU.
     fn on_cpu(&self) -> Self {
         let backend = BackendArgs { backend: BackendFlag::Cpu, gpu: None, ..self.backend };
@@ -206,6 +212,11 @@ impl<'a> Session<'a> {
     /// From the first process started to the last worker joined, or until a master elsewhere has let this client in.
     pub fn start(&self) -> Duration {
         self.start
+    }
+
+    /// Who renders.
+    pub fn crew(&self) -> &Crew {
+        &self.crew
     }
 
     /// Renders a frame and keeps its image.

@@ -4,7 +4,7 @@ use super::args::{byte_size, time};
 use super::backend::BackendArgs;
 use super::interrupt::asked_to_stop;
 use super::run::{cores, runtime};
-use super::{CommandError, join};
+use super::{CommandError, cache_folder, join};
 use clap::Args;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -115,7 +115,7 @@ fn cache(args: &WorkerArgs) -> Result<Option<PackCache>, CommandError> {
     }
     let (folder, is_asked_for) = match &args.cache_dir {
         Some(folder) => (folder.clone(), true),
-        None => match default_cache() {
+        None => match cache_folder("packs") {
             Some(folder) => (folder, false),
             None => return Ok(None),
         },
@@ -131,13 +131,6 @@ fn cache(args: &WorkerArgs) -> Result<Option<PackCache>, CommandError> {
             Ok(None)
         }
     }
-}
-
-/// Where a desktop keeps what can be had again (XDG Base Directory Specification 0.8: only absolute paths count).
-fn default_cache() -> Option<PathBuf> {
-    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
-    let home = || absolute("HOME").map(|home| home.join(".cache"));
-    absolute("XDG_CACHE_HOME").or_else(home).map(|folder| folder.join("tessera/packs"))
 }
 
 impl From<WorkerError> for CommandError {

@@ -53,7 +53,8 @@ impl Kind {
         }
     }
 
-    const fn name(self) -> &'static str {
+    /// For messages.
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Codes8 => "8-bit codes",
             Self::Codes16 => "16-bit codes",

@@ -8,7 +8,7 @@ use crate::commands::progress::Progress;
 use crate::commands::{CommandError, PackingArgs, print_text};
 use clap::Args;
 use clap::builder::NonEmptyStringValueParser;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::rc::Rc;
 use std::time::Duration;
 use tessera_master::prepare::{PrepareOptions, choose_camera, prepare_scene};
@@ -177,7 +177,7 @@ pub fn run(args: &GpuArgs, progress: &Progress) -> Result<(), CommandError> {
     measure(&mut peers, args.reps, progress)?;
     let equal = check_equal(&peers);
 
-    let name = name_of(&args.scene);
+    let name = super::name_of(&args.scene);
     let lines = peers
         .iter()
         .map(|peer| {
@@ -201,7 +201,7 @@ fn prepare(args: &GpuArgs, tasks: &[Task], progress: &Progress) -> Result<Vec<Pa
     let scene = {
         let _bar = progress.step("reading the scene");
         let mut scene = tessera_scene::load(&args.scene, &options.load).map_err(CommandError::failed)?;
-        scene.name = name_of(&args.scene);
+        scene.name = super::name_of(&args.scene);
         scene
     };
     let mut packs: Vec<Packed> = Vec::new();
@@ -392,10 +392,6 @@ fn described(task: &Task) -> String {
         format!("the GPU ({}, {precision}, {kernel})", form.name())
     });
     format!("{who}, {}, {vertices} vertices, {refs} references", what.name())
-}
-
-fn name_of(scene: &Path) -> String {
-    scene.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 mod build;
 pub(super) mod clock;
+mod error_time;
 mod generate;
 pub(super) mod gpu;
 mod gpu_lines;
@@ -32,6 +33,8 @@ pub enum BenchCommand {
     Build(build::BuildArgs),
     /// Time of packing, stage by stage, and bytes of every section
     Pack(pack::PackArgs),
+    /// Error against run time, by every knob that trades one for the other
+    ErrorTime(error_time::ErrorTimeArgs),
     /// Seconds of a frame on a GPU and on the CPU, by what the GPU's kernels are made of
     Gpu(gpu::GpuArgs),
     /// Build one tree; started by `bench build` itself
@@ -44,6 +47,7 @@ pub fn run(command: BenchCommand, progress: &Progress) -> Result<(), CommandErro
         BenchCommand::Rays(args) => rays::run(args, progress),
         BenchCommand::Build(args) => build::run(args, progress),
         BenchCommand::Pack(args) => pack::run(args, progress),
+        BenchCommand::ErrorTime(args) => error_time::run(&args, progress),
         BenchCommand::Gpu(args) => gpu::run(&args, progress),
         BenchCommand::BuildOne(args) => build::run_one(&args),
     }
@@ -64,6 +68,11 @@ pub(super) fn refuse_bundle(path: &Path) -> Result<(), CommandError> {
         )));
     }
     Ok(())
+}
+
+/// What tables call a scene.
+fn name_of(scene: &Path) -> String {
+    scene.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Prints one JSON object a line to stdout.
