@@ -242,7 +242,7 @@ impl Oracle {
         digest.bytes(&[no_textures, shadows, reflection, refraction].map(u8::from));
 
         // Geometry.
-        let FlatMesh { positions, normals, uvs, colors, triangles, material_runs: _ } = &self.mesh;
+        let FlatMesh { positions, normals, uvs, colors, triangles, material_runs: _, objects: _ } = &self.mesh;
         digest.f64s(positions.as_flattened());
         digest.f32s(normals.as_flattened());
         digest.f32s(uvs.as_flattened());
