@@ -81,7 +81,8 @@ fn a_tile_a_hundred_thousand_times_dearer_holds_the_frame_no_longer_than_itself(
 fn a_glass_corner_in_a_white_wall_is_one_picture() {
     wait(async {
         let pack = scenes::glass_corner(8).expect("it packs");
-        let costs = scenes::corner_costs(&pack, 4);
+        let cutoff = 1.0 / 8192.0;
+        let costs = scenes::corner_costs(&pack, 4, cutoff);
         // Eight lamps: a thousand hits of eight shadow rays through up to fifteen panes, to one primary ray.
         assert!(costs.ratio() > 1000.0, "{costs:?}: the corner is not dear");
         let mut hashes = BTreeSet::new();
@@ -90,7 +91,7 @@ fn a_glass_corner_in_a_white_wall_is_one_picture() {
             let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("they join");
             cluster.load(&pack, |_| ()).await.expect("they take the pack");
             for balance in Balance::ALL {
-                let image = frames::whole(&mut cluster, &scenes::corner_job(&pack, 4, balance)).await;
+                let image = frames::whole(&mut cluster, &scenes::corner_job(&pack, 4, cutoff, balance)).await;
                 hashes.insert(image.expect("workers are well").hash().to_string());
             }
             cluster.stop().await;

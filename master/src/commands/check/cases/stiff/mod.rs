@@ -74,10 +74,10 @@ fn costs(effort: Effort) -> Outcome {
     let spread = Finding::within("share of the time allowed", worst, 1.0);
 
     // For real.
-    let (lamps, tile) = effort.pick((8, 4), (64, 8));
+    let (lamps, tile, cutoff) = effort.pick((8, 4, 1.0 / 8192.0), (64, 8, 1.0 / 65_536.0));
     let pack = glass_corner(lamps)?;
-    let costs = corner_costs(&pack, tile);
-    let pictures = in_clusters(&pack, tile, &effort.pick(vec![2], vec![1, 2, 5]))?;
+    let costs = corner_costs(&pack, tile, cutoff);
+    let pictures = in_clusters(&pack, (tile, cutoff), &effort.pick(vec![2], vec![1, 2, 5]))?;
     let expected = format!("{} pictures of one hash, each tile once", pictures.len());
     let ok = pictures.iter().all(|picture| *picture == pictures[0]);
     let got = format!("a tile of {:.1e} others; hash {}", costs.ratio(), pictures[0]);
@@ -85,13 +85,13 @@ fn costs(effort: Effort) -> Outcome {
 }
 
 /// The hash of the picture in every balancing, with so many workers in this process.
-fn in_clusters(pack: &Pack, tile: u32, crews: &[usize]) -> Result<Vec<String>, String> {
+fn in_clusters(pack: &Pack, (tile, cutoff): (u32, f32), crews: &[usize]) -> Result<Vec<String>, String> {
     let mut hashes = Vec::new();
     runtime().map_err(|e| e.to_string())?.block_on(async {
         for &crew in crews {
             let mut cluster = start(pack, crew).await?;
             for balance in Balance::ALL {
-                let job = corner_job(pack, tile, balance);
+                let job = corner_job(pack, tile, cutoff, balance);
                 hashes.push(frames::whole(&mut cluster, &job).await?.hash().to_string());
             }
             cluster.stop().await;

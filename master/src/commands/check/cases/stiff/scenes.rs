@@ -20,8 +20,8 @@ pub const CORNER_TILES: u32 = 16;
 const DEPTH: u32 = 32;
 
 /// An unlit white wall, and in front of its lower right tile sixteen panes, each half there and all of it mirror, lit by so many lamps: a
-/// ray that meets a pane goes on and back with half its weight each, until a ray has less than 1/512, a thousand times in all, and each time
-/// asks for every lamp through the panes between.
+/// ray that meets a pane goes on and back with up to half its weight each, until a ray has less than the cut-off, and each time asks for every
+/// lamp through the panes between.
 ///
 /// # Errors
 /// Those of packing.
@@ -39,7 +39,7 @@ pub fn glass_corner(lamps: u32) -> Result<Pack, String> {
     let side = 2.0 / f64::from(CORNER_TILES);
     for pane in 0..PANES {
         let z = 0.1 + 0.8 * f64::from(pane) / f64::from(PANES);
-        quad([1.0 - 0.8 * side, 0.2 * side - 1.0], [1.0 - 0.2 * side, 0.8 * side - 1.0], z);
+        quad([1.0 - 0.9 * side, 0.1 * side - 1.0], [1.0 - 0.1 * side, 0.9 * side - 1.0], z);
     }
     input.material_runs = vec![(0, 0), (2, 1)];
     let wall = Material { flags: MaterialFlags::UNLIT | MaterialFlags::DOUBLE_SIDED, ..Material::default() };
@@ -69,8 +69,8 @@ pub fn glass_corner(lamps: u32) -> Result<Pack, String> {
     Ok(build_pack(input, &options).map_err(|e| e.to_string())?.0)
 }
 
-/// The picture of [`glass_corner`], in tiles of so many pixels a side.
-pub fn corner_job(pack: &Pack, tile: u32, balance: Balance) -> FrameJob {
+/// The picture of [`glass_corner`], in tiles of so many pixels a side; rays below the weight `cutoff` are not traced.
+pub fn corner_job(pack: &Pack, tile: u32, cutoff: f32, balance: Balance) -> FrameJob {
     // From a hundred units away, so that the panes stay within their tile.
     let origin = pack.frame().to_local(DVec3::new(0.0, 0.0, 100.0));
     FrameJob {
@@ -79,7 +79,7 @@ pub fn corner_job(pack: &Pack, tile: u32, balance: Balance) -> FrameJob {
         height: tile * CORNER_TILES,
         tile,
         samples: 1,
-        sampling: Default::default(),
+        sampling: tessera_wire::Sampling { cutoff, ..Default::default() },
         depth: DEPTH,
         seed: 0,
         features: tessera_wire::Features::default(),
@@ -105,14 +105,14 @@ impl Costs {
 }
 
 /// Renders the last tile of [`corner_job`] once and the others so often that their sum is long enough for the clock.
-pub fn corner_costs(pack: &Pack, tile: u32) -> Costs {
-    let job = corner_job(pack, tile, Balance::Dynamic);
+pub fn corner_costs(pack: &Pack, tile: u32, cutoff: f32) -> Costs {
+    let job = corner_job(pack, tile, cutoff, Balance::Dynamic);
     let params = FrameParams {
         camera: job.camera,
         width: job.width,
         height: job.height,
         samples: job.samples,
-        sampling: Default::default(),
+        sampling: tessera_whitted::Sampling { cutoff, ..Default::default() },
         max_depth: job.depth,
         frame: job.seed,
         features: Features::default(),

@@ -430,9 +430,10 @@ pub fn unequal(slowness: &[u32], tiles: [u32; 2], balance: Balance, seed: u64) -
     // A tile that is taken over costs its word's way there and back besides, and the last ones come one by one.
     let again = (tile + 4 * DELAY) * (held * slow).div_ceil(fast.len() as u32) + 2 * tile;
     let allowed = alone.took + patience(balance, tile, held) + again;
-    // Four rows of tiles may wait. Then a slow worker's patience runs, and its tiles are rendered one after the other, each behind three that
+    // The dynamic balancing returns tiles as small as these in batches of many. Of the one that returns each by itself four rows may wait. Then a
+    // slow worker's patience runs, and its tiles are rendered one after the other, each behind three that
     // a fast one has in hand; meanwhile all fast ones go on.
-    if matches!(balance, Balance::PaperDynamic | Balance::Dynamic) {
+    if balance == Balance::PaperDynamic {
         let meanwhile = patience(balance, tile, held).div_duration_f64(tile) as u32 + 4 * held * slow;
         let may_wait = 4 * tiles[1] + meanwhile * fast.len() as u32;
         if course.waiting > may_wait {
