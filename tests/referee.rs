@@ -10,7 +10,9 @@ fn python(modules: &str) -> Option<String> {
     if found.is_ok_and(|output| output.status.success()) {
         return Some(python);
     }
-    skipped(format_args!("{python} cannot import {modules}; tests/referee/README.md says how, TESSERA_PYTHON which"));
+    skipped(format_args!(
+        "{python} cannot import {modules}; tests/referee/README.md says how, TESSERA_PYTHON which"
+    ));
     None
 }
 
