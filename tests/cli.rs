@@ -408,8 +408,10 @@ fn reports_are_one_json_object_with_the_promised_keys() {
         .ok();
     let compare = |a, b| Tessera::new(["compare", a, b, "--json"]).within(folder.path()).run().json();
     let same = compare("a.png", "a.png");
-    has(&same, &["mse", "psnr_db", "ssim", "max_abs", "differing_share"]);
+    has(&same, &["mse", "rmse", "psnr_db", "psnr_linear_db", "psnr_srgb_db", "ssim", "flip", "max_abs"]);
+    has(&same, &["differing_share", "wrong_id_share", "peak", "width", "height"]);
     assert_eq!((&same["mse"], &same["psnr_db"]), (&0.0.into(), &serde_json::Value::Null));
+    assert_eq!((&same["flip"], &same["wrong_id_share"]), (&0.0.into(), &serde_json::Value::Null));
 }
 
 #[test]
@@ -466,4 +468,49 @@ fn the_environment_names_the_scene_folder_and_the_log_filter() {
         assert!(line["level"].is_string());
     }
     render().env("RUST_LOG", "tessera=loud").run().fails(2, &["RUST_LOG"]);
+}
+
+#[test]
+fn a_comparison_draws_where_pictures_differ_and_counts_wrong_triangles() {
+    let folder = Folder::new();
+    folder.write("a.ply", PLY);
+    let render = |out: &str, fov: &str| {
+        Tessera::new([
+            "render",
+            "a.ply",
+            "--out",
+            out,
+            "--size",
+            "32x32",
+            "--eye",
+            "0.3,0.3,3",
+            "--target",
+            "0.3,0.3,0",
+        ])
+        .args(["--fov", fov])
+        .within(folder.path())
+        .run()
+        .ok();
+    };
+    render("near.exr", "30");
+    render("far.exr", "50");
+    let compare =
+        |a, b, map| Tessera::new(["compare", a, b, "--json", "--map", map]).within(folder.path()).run();
+    let differ = compare("near.exr", "far.exr", "map.png").json();
+    let share = |name: &str| differ[name].as_f64().expect("a number");
+    assert!(share("flip") > 0.0 && share("wrong_id_share") > 0.0, "{differ}");
+    // Another triangle behind a pixel's centre is another colour here: one of them is missed.
+    assert!(share("wrong_id_share") <= share("differing_share"), "{differ}");
+    let map = image::open(folder.file("map.png")).expect("a picture").into_rgb8();
+    let black = map.pixels().filter(|pixel| pixel.0 == [0, 0, 4]).count();
+    assert!(map.dimensions() == (32, 32) && (1..32 * 32).contains(&black), "{black}");
+
+    let same = compare("near.exr", "near.exr", "map.png").json();
+    assert_eq!((&same["wrong_id_share"], &same["flip"]), (&0.0.into(), &0.0.into()));
+    let names = folder.names();
+    compare("near.exr", "far.exr", "map.exr").fails(2, &["--map map.exr: name a .png file"]);
+    std::fs::copy(folder.file("map.png"), folder.file("a.png")).expect("a copy");
+    compare("a.png", "map.png", "a.png").fails(2, &["would replace a picture"]);
+    compare("near.exr", "far.exr", "none/map.png").fails(1, &["does not exist; create it first"]);
+    assert_eq!(folder.names().len(), names.len() + 1);
 }

@@ -22,11 +22,10 @@ from pathlib import Path
 import flip_evaluator
 import numpy as np
 
-# Theirs computes in f32. A pixel's Y, Cx and Cz are sums over 21 x 21 pixels in two passes, of terms of at most 516: rounding leaves some
-# 42 * 2^-24 * 116, 3e-4, of the 100 of lightness at worst, and a difference d of two such values is off by twice that. FLIP takes
-# 0.95 / 16.4 * d^0.7 of it, whose slope is 0.04 at d = 1, and then its (1 - feature)th power, whose slope is at most 10 at errors above
-# 0.1. At worst 2e-4 a pixel, then, and rounding goes either way: means of many pixels agree a hundred times better.
-MEAN_BOUND = 2e-6
+# Theirs computes in f32. Most sensitive is a pixel whose colours c differ where no feature does: a roundoff n of 2^-23 that two features
+# are apart makes a feature difference f = (n / sqrt(2))^0.5 of 2.9e-4, and c^(1 - f) is off by f c ln(1 / c), at most f / e. If all
+# pixels were such, the mean would be off by as much. (Pictures of squares have many: there it is 5e-6, and at most 9.5e-5 a pixel.)
+MEAN_BOUND = (2.0**-23 / 2**0.5) ** 0.5 / 2.718
 # Colours of magma that lie side by side differ by at most 3 codes.
 MAP_BOUND = 3
 

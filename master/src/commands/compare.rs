@@ -52,7 +52,7 @@ fn map_file(args: &CompareArgs, map: &Path) -> Result<OutputFile, CommandError> 
     if !map.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
         return Err(CommandError::Usage(format!("--map {}: name a .png file", map.display())));
     }
-    let target = OutputFile::check(map).map_err(CommandError::usage)?;
+    let target = OutputFile::check(map).map_err(CommandError::failed)?;
     match [&args.a, &args.b].into_iter().find(|picture| target.is_at(picture)) {
         Some(picture) => Err(CommandError::Usage(format!(
             "--map {} would replace a picture; name another file",

@@ -56,8 +56,9 @@ impl Filters {
             (0..=2 * radius).map(|i| weight(i as f64 - radius as f64)).collect()
         };
 
-        // The sensitivity to contrast of each opponent colour, as Gaussians in space. Blue-yellow is a sum of two, which is no product of an x and a y; each of
-        // the two is, with the square root of its factor along either axis, and what is common is scaled so that the sum's weight is 1.
+        // The sensitivity to contrast of each opponent colour, as Gaussians in space. Blue-yellow is a sum of two, which is no product of
+        // an x and a y; each of the two is, with the square root of its factor along either axis, and what is common is scaled so that
+        // the sum's weight is 1.
         let gaussian = |scale: f64, b: f64| {
             let degrees = 1.0 / pixels_per_degree;
             taps(&|x| scale * libm::exp(-PI * PI * (x * degrees) * (x * degrees) / b))
