@@ -20,7 +20,8 @@ fn ids() -> Vec<String> {
 fn check(cases: &[String], backend: &str, mutation: Option<&str>) -> (Option<i32>, serde_json::Value) {
     let cases = cases.join(",");
     let planted = mutation.into_iter().flat_map(|name| ["--mutation", name]);
-    let args = ["check", "--quick", "--json", "--backend", backend, "--case", &cases].into_iter().chain(planted);
+    let args =
+        ["check", "--quick", "--json", "--backend", backend, "--case", &cases].into_iter().chain(planted);
     let outcome = Tessera::new(args).run();
     let report = serde_json::from_str(&outcome.stdout);
     (outcome.code, report.unwrap_or_else(|e| panic!("{e}: {outcome:?}")))
@@ -38,7 +39,10 @@ fn hard_inputs_come_out_right_on_the_cpu() {
         for case in cases {
             println!("{}: {}: {}", case["id"], case["expected"], case["got"]);
             assert_eq!(case["ok"], true, "{case:#}");
-            assert!(["expected", "got", "input", "judge"].iter().all(|key| case[key].is_string()), "{case:#}");
+            assert!(
+                ["expected", "got", "input", "judge"].iter().all(|key| case[key].is_string()),
+                "{case:#}"
+            );
         }
         assert_eq!((code, &report["ok"]), (Some(0), &true.into()));
         assert_eq!(report["backends"].as_array().map(Vec::len), Some(2), "ray by ray and eight at once");
@@ -80,9 +84,17 @@ fn every_planted_bug_is_noticed() {
             continue;
         }
         let (code, report) = check(&cases, backend, Some(&name));
-        let noticed: Vec<_> = report["cases"].as_array().expect("cases").iter().filter(|case| case["ok"] == false).collect();
-        println!("{name}: {}", noticed.iter().map(|case| case["id"].to_string()).collect::<Vec<_>>().join(", "));
-        assert_eq!((code, noticed.len()), (Some(1), cases.len()), "{name} is not noticed by all of {cases:?}: {report:#}");
+        let noticed: Vec<_> =
+            report["cases"].as_array().expect("cases").iter().filter(|case| case["ok"] == false).collect();
+        println!(
+            "{name}: {}",
+            noticed.iter().map(|case| case["id"].to_string()).collect::<Vec<_>>().join(", ")
+        );
+        assert_eq!(
+            (code, noticed.len()),
+            (Some(1), cases.len()),
+            "{name} is not noticed by all of {cases:?}: {report:#}"
+        );
     }
 }
 

@@ -161,8 +161,7 @@ fn hard_inputs_have_their_tests() {
             assert!(is_there, "hard input {case}: {room} has no test {test}");
         }
     }
-    let missing: Vec<_> =
-        (1..=43).filter(|case| !cases.contains(case)).collect();
+    let missing: Vec<_> = (1..=43).filter(|case| !cases.contains(case)).collect();
     assert!(missing.is_empty(), "tests/HARD_INPUTS.md has no line for {missing:?}");
 }
 

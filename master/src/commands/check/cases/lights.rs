@@ -182,8 +182,8 @@ fn edges(renders: &dyn Renders, effort: Effort) -> Outcome {
         let target = u * a + v * b + w * along;
         let mut view = look((u * (0.2 * a) + v * (0.1 * b)).to_array(), target.to_array()).sized(side, side);
         view.pose.up = w;
-        // A picture of a few hundred roundoffs on either side of the edge.
-        view.pose.fov_degrees = 2e-3;
+        // A picture of a few dozen roundoffs on either side of the edge.
+        view.pose.fov_degrees = 2e-4;
         let layers = renders.layers(&pack, &view)?;
         pixels += layers.len();
         dark += layers.iter().filter(|p| p.alpha != 1.0 || p.color[0] <= 0.0).count();
