@@ -10,8 +10,8 @@ use tessera_pack::Pack;
 use tessera_whitted::stage::look;
 use tessera_whitted::stage::stages::bazaar;
 use tessera_wire::{Features, FrameId, Sampling};
-use tessera_worker::Kernel;
 use tessera_worker::gpu::probe::cpu_frame;
+use tessera_worker::{Backend, Kernel};
 
 pub const CASES: &[Case] = &[
     Case {
@@ -48,11 +48,14 @@ fn job(camera: LocalCamera, side: u32, tile: u32, balance: Balance) -> FrameJob 
 
 /// Renders `job` on so many workers, and ends `dying` of them when the first tile is in; how many of the bytes differ from those of this
 /// process's own picture.
-fn differing(pack: &Pack, job: &FrameJob, workers: usize, dying: usize) -> Result<usize, String> {
+fn differing(
+    pack: &Pack,
+    job: &FrameJob,
+    backend: &Backend,
+    (workers, dying): (usize, usize),
+) -> Result<usize, String> {
     let frame = job.to_wire(FrameId(1), tessera_wire::PackId(pack.id().0));
     let (own, _) = cpu_frame(pack, Kernel::auto(), &frame);
-    let backend = BackendArgs { backend: BackendFlag::Cpu, ..BackendArgs::default() };
-    let backend = backend.open().map_err(|e| e.to_string())?;
     let runtime = runtime().map_err(|e| e.to_string())?;
     let pixels = runtime.block_on(async {
         let started = (0..workers).map(|i| worker_here(&format!("worker {i}"), 1, backend.clone()));
@@ -76,14 +79,19 @@ fn differing(pack: &Pack, job: &FrameJob, workers: usize, dying: usize) -> Resul
     Ok(own.iter().zip(&pixels).filter(|(a, b)| a != b).count() + own.len().abs_diff(pixels.len()))
 }
 
+fn cpu() -> Result<Backend, String> {
+    let args = BackendArgs { backend: BackendFlag::Cpu, ..BackendArgs::default() };
+    args.open().map_err(|e| e.to_string())
+}
+
 fn crews(_: Effort) -> Outcome {
-    let pack = exact(&bazaar())?;
+    let (pack, backend) = (exact(&bazaar())?, cpu()?);
     let view = look([0.3, 0.6, 5.0], [0.0; 3]);
     let (mut differ, mut frames) = (0, 0);
     for balance in Balance::ALL {
         for (side, tile, workers) in [(40, 8, 1), (40, 64, 16), (1, 8, 3), (45, 16, 16)] {
             let camera = view.pose.to_local(&pack.frame(), side, side).map_err(|e| e.to_string())?;
-            differ += differing(&pack, &job(camera, side, tile, balance), workers, 0)?;
+            differ += differing(&pack, &job(camera, side, tile, balance), &backend, (workers, 0))?;
             frames += 1;
         }
     }
@@ -91,13 +99,13 @@ fn crews(_: Effort) -> Outcome {
 }
 
 fn deaths(_: Effort) -> Outcome {
-    let pack = exact(&bazaar())?;
+    let (pack, backend) = (exact(&bazaar())?, cpu()?);
     let camera =
         look([0.3, 0.6, 5.0], [0.0; 3]).pose.to_local(&pack.frame(), 96, 96).map_err(|e| e.to_string())?;
     let (mut differ, mut frames) = (0, 0);
     for balance in Balance::ALL {
         for (workers, dying) in [(2, 1), (6, 5)] {
-            differ += differing(&pack, &job(camera, 96, 8, balance), workers, dying)?;
+            differ += differing(&pack, &job(camera, 96, 8, balance), &backend, (workers, dying))?;
             frames += 1;
         }
     }

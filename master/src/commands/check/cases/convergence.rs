@@ -129,9 +129,9 @@ fn to_ball(o: DVec3, d: DVec3) -> Option<f64> {
 }
 
 fn reflections(effort: Effort) -> Outcome {
-    let finer: &[u32] = effort.pick(&[], &[250]);
+    let meshes = effort.pick(8, RINGS.len());
     let (mut plain, mut packed) = (Vec::new(), Vec::new());
-    for &rings in RINGS.iter().chain(finer) {
+    for &rings in RINGS.iter().take(meshes) {
         let mut stage = Stage::default();
         stage.ball([0.0; 3], 1.0, rings, mirror(1.0));
         // A sky whose light is 0.5 + 0.5 y: what a pixel shows is the height of the mirror ray's direction.
@@ -185,9 +185,9 @@ fn mirror_error(pack: &Pack) -> Result<(f64, f64), String> {
 }
 
 fn focus(effort: Effort) -> Outcome {
-    let finer: &[u32] = effort.pick(&[], &[224]);
+    let meshes = effort.pick(8, RINGS.len());
     let mut points = Vec::new();
-    for &rings in RINGS.iter().skip(1).chain(finer) {
+    for &rings in RINGS.iter().take(meshes) {
         let pack = exact(&glass_ball(rings))?;
         let mut errors = Vec::new();
         let mut random = Random(23);
