@@ -403,7 +403,7 @@ impl Bench<'_> {
             )
         });
         let gpu = self.lean.as_ref().zip(full.as_ref()).map(|(lean, full)| {
-            let wall = |scene: &ProbedScene, frame: &Frame, watch: Watch| {
+            let wall = |scene: &ProbedScene, frame: &Frame, watch: Watch| -> Result<f64, CommandError> {
                 scene.frame(frame).map_err(CommandError::failed)?;
                 Ok(watch.read().wall_s)
             };
