@@ -3,7 +3,6 @@
 mod backend;
 mod case;
 mod cases;
-mod fit;
 mod pack;
 mod report;
 

@@ -5,7 +5,7 @@ use super::knob::Knob;
 use super::measure::{Bytes, Outcome, Turned};
 use super::pareto::{Tradeoff, fastest_within, front};
 use crate::commands::bench::measure::median;
-use crate::commands::fit::Rate;
+use crate::commands::fit::Fit;
 use serde::Serialize;
 use std::fmt::Write;
 use tessera_master::compare::Comparison;
@@ -56,7 +56,7 @@ pub struct Summary {
     pub rows: Vec<Row>,
     pub time_to_error: Vec<TimeToError>,
     /// Of the error against the number of samples, by curve; empty for other knobs.
-    pub rates: Vec<(String, Rate)>,
+    pub rates: Vec<(String, Fit)>,
 }
 
 /// The headline: the fastest setting with an error of at most so much.
@@ -128,14 +128,15 @@ impl Row {
 
 /// How the error falls with the number of samples, curve by curve: from two samples, for one lies in the centre and is of no sampler, to an
 /// eighth of the truth's, whose own error then adds less than about 2 % to the root of the sum of squares.
-fn rates(rows: &[Row], truth_spp: u32) -> Vec<(String, Rate)> {
+fn rates(rows: &[Row], truth_spp: u32) -> Vec<(String, Fit)> {
     let mut names: Vec<&str> = rows.iter().map(|row| row.series.as_str()).collect();
     names.dedup();
     let samples = 2.0..=f64::from(truth_spp / 8);
     let of = |name: &str| {
         let curve = rows.iter().filter(|row| row.series == name);
         let points = curve.filter_map(|row| Some((row.number?, row.error.rmse)));
-        Rate::of(&points.filter(|(n, _)| samples.contains(n)).collect::<Vec<_>>())
+        let is_of_it = |(n, error): &(f64, f64)| samples.contains(n) && *error > 0.0;
+        Fit::of(&points.filter(is_of_it).collect::<Vec<_>>())
     };
     names.into_iter().filter_map(|name| Some((name.to_owned(), of(name)?))).collect()
 }

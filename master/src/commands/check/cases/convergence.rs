@@ -2,8 +2,8 @@
 
 use crate::commands::check::backend::packet;
 use crate::commands::check::case::{Case, Effort, Finding, Outcome, Run};
-use crate::commands::check::fit::Fit;
 use crate::commands::check::pack::{exact, quantized};
+use crate::commands::fit::Fit;
 use rayon::prelude::*;
 use tessera_geometry::wide::{ALL_LANES, LANES};
 use tessera_geometry::{DVec3, Ray};

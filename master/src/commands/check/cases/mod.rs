@@ -11,6 +11,7 @@ mod lights;
 mod optics;
 mod packing;
 mod samplers;
+mod stiff;
 mod traversal;
 
 use super::case::Case;
@@ -27,6 +28,7 @@ pub const ALL: &[&[Case]] = &[
     cameras::CASES,
     hostile::CASES,
     cluster::CASES,
+    stiff::CASES,
     convergence::CASES,
     samplers::CASES,
 ];

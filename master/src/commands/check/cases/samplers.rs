@@ -12,8 +12,8 @@
 
 use crate::commands::check::backend::frame_of;
 use crate::commands::check::case::{Case, Effort, Finding, Outcome, Run};
-use crate::commands::check::fit::Fit;
 use crate::commands::check::pack::exact;
+use crate::commands::fit::Fit;
 use rayon::prelude::*;
 use tessera_geometry::DVec3;
 use tessera_kdtree::soup::Random;
