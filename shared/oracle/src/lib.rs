@@ -9,14 +9,15 @@
 //! - Vertices, normals, texture coordinates and lights are those of the source, in `f64`. Vertex normals count wherever all three
 //!   corners have one, also where a pack leaves them out.
 //! - Rays are traced through a bounding volume hierarchy, which is judged by trying every triangle
-//!   ([`Oracle::by_brute_force`]); [`triangle`](self)'s test projects along the ray instead of shearing.
+//!   ([`Oracle::by_brute_force`]); the triangle's test projects along the ray instead of shearing.
 //! - A new ray leaves the triangle that it starts on by name and everything else by a bound that comes from roundoff alone (2^-47 of
 //!   the scene's size at normal incidence), not by an offset of its origin.
 //! - The samples of a pixel are a lattice, the same in each pixel ([`View::samples`]).
 //! - The weight below which a ray is not traced is the caller's, and what was cut off is summed up ([`OracleImage::cut_weight`]).
 //!
 //! **Ties.** Distances along a ray are rounded to 40 bits, 2^-40 = 9e-13 of themselves, before they are compared; of surfaces at one
-//! distance that with the smallest triangle id comes first, as in the kernels (which round to 24 bits).
+//! distance that with the smallest triangle id comes first, as in the kernels (which round to 24 bits). On an edge that two
+//! triangles share both are met: a ray exactly through an edge of glass or of a veil is dimmed twice, here as there.
 
 mod bvh;
 mod digest;

@@ -156,7 +156,7 @@ mod tests {
         let mut random = Random(7);
         for _ in 0..100_000 {
             // Whole numbers, so that i128 knows the truth; c d is next to a b.
-            let mut whole = || (random.unit() * 2f64.powi(52)).floor();
+            let mut whole = || (random.unit() * libm::exp2(52.0)).floor();
             let (a, b) = (whole(), whole());
             let (c, d) = (a + (whole() % 3.0) - 1.0, b + (whole() % 3.0) - 1.0);
             let exact = a as i128 * b as i128 - c as i128 * d as i128;
@@ -167,7 +167,7 @@ mod tests {
                 "{a} {b} {c} {d}: {found} for {exact}"
             );
             assert!(
-                (found - exact as f64).abs() <= (exact as f64).abs() * 2f64.powi(-50),
+                (found - exact as f64).abs() <= (exact as f64).abs() * libm::exp2(-50.0),
                 "{found} for {exact}"
             );
         }
@@ -189,10 +189,7 @@ mod tests {
                 let expected = (target - origin).length();
                 let nearest = hits.map(|hit| (hit.t - expected).abs()).fold(f64::INFINITY, f64::min);
                 // The target is rounded to 2^-52 of the sphere; a slanting triangle is met up to a few times that away.
-                assert!(
-                    nearest <= expected * 2f64.powi(-39),
-                    "scale {scale}, ray {k}: {nearest} off {expected}"
-                );
+                assert!(nearest <= expected * ROUNDING, "scale {scale}, ray {k}: {nearest} off {expected}");
             }
         }
     }

@@ -11,6 +11,9 @@ use tessera_scene::{
     Without, Wrap,
 };
 
+/// What is done to something, and what the error then says.
+type Change<'a, T> = (&'a dyn Fn(&mut T), &'a str);
+
 /// A scene of parallelograms, each with a material of its own.
 #[derive(Default)]
 struct Stage(Scene);
@@ -484,7 +487,7 @@ fn the_hash_follows_what_is_seen() {
 fn an_unsound_scene_is_refused_in_one_line() {
     let scene = || Stage::default().wall(0.0, chalk()).lamp(LightKind::Point, [0.0; 3], [0.0; 3], 1.0).0;
     let texture = TextureRef { image: 3, wrap_s: Wrap::Repeat, wrap_t: Wrap::Repeat, nearest: false };
-    let cases: [(&dyn Fn(&mut Scene), &str); 6] = [
+    let cases: [Change<Scene>; 6] = [
         (&|s| s.materials[0].metallic = 2.0, "material 0"),
         (&|s| s.materials[0].emissive[0] = f32::NAN, "material 0"),
         (&|s| s.materials[0].base_texture = Some(texture), "image that does not exist"),
@@ -534,7 +537,7 @@ fn a_reference_of_something_else_is_refused() {
     let reference = reference();
     let path = Reference::path_in(folder.path(), &reference.key);
     reference.save(&path).expect("it is written");
-    let changes: [(&dyn Fn(&mut Key), &str); 11] = [
+    let changes: [Change<Key>; 11] = [
         (&|key| key.scene[31] ^= 1, "scene"),
         (&|key| key.without.shadows = true, "shadows"),
         (&|key| key.without.textures = true, "textures"),
