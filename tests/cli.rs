@@ -509,7 +509,7 @@ fn a_comparison_draws_where_pictures_differ_and_counts_wrong_triangles() {
     assert_eq!((&same["wrong_id_share"], &same["flip"]), (&0.0.into(), &0.0.into()));
     let names = folder.names();
     compare("near.exr", "far.exr", "map.exr").fails(2, &["--map map.exr: name a .png file"]);
-    std::fs::copy(folder.file("map.png"), folder.file("a.png")).expect("a copy");
+    fs::copy(folder.file("map.png"), folder.file("a.png")).expect("a copy");
     compare("a.png", "map.png", "a.png").fails(2, &["would replace a picture"]);
     compare("near.exr", "far.exr", "none/map.png").fails(1, &["does not exist; create it first"]);
     assert_eq!(folder.names().len(), names.len() + 1);

@@ -10,10 +10,13 @@ use std::time::Duration;
 use tessera_master::{Balance, Cluster, ClusterConfig, PixelFormat};
 
 #[path = "../master/src/commands/check/cases/stiff/frames.rs"]
+#[allow(dead_code, reason = "`tessera check` uses the rest")]
 mod frames;
 #[path = "../master/src/commands/check/cases/stiff/scenes.rs"]
+#[allow(dead_code, reason = "`tessera check` uses the rest")]
 mod scenes;
 #[path = "../master/src/commands/check/cases/stiff/world.rs"]
+#[allow(dead_code, reason = "`tessera check` uses the rest")]
 mod world;
 
 #[test]

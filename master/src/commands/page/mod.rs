@@ -11,7 +11,6 @@ mod plot;
 mod raster;
 mod svg;
 
-pub use axis::number;
 pub use csv::write_csv;
 pub use machine::machine;
 pub use plot::{Axis, Line, Plot, Point, Scale, Series, Theme};

@@ -2,6 +2,7 @@
 
 mod frames;
 mod scenes;
+#[allow(dead_code, reason = "tests/stiff.rs uses the rest")]
 mod world;
 
 use crate::commands::check::case::{Case, Effort, Finding, Outcome, Run};
@@ -11,7 +12,6 @@ use std::time::Duration;
 use tessera_master::{Balance, Cluster, ClusterConfig, Link, Workers};
 use tessera_pack::Pack;
 use tessera_worker::{Backend, BackendChoice, BackendConfig};
-use world::Trial;
 
 pub const CASES: &[Case] = &[
     Case {
