@@ -40,17 +40,20 @@ pub const CASES: &[Case] = &[
 ];
 
 fn speeds(effort: Effort) -> Outcome {
-    let (mut trials, mut worst) = (0, 0.0_f64);
+    let (mut trials, mut worst, mut helped) = (0, 0.0_f64, 0);
     for seed in 0..effort.pick(4, 40) {
         for balance in Balance::ALL {
             for (slowness, tiles) in world::UNEQUAL {
-                let course = world::unequal(slowness, tiles, balance, seed)?;
-                worst = worst.max(course.share);
+                let judged = world::unequal(slowness, tiles, balance, seed)?;
+                worst = worst.max(judged.share);
+                helped += judged.course.shared;
                 trials += 1;
             }
         }
     }
-    let got = format!("{trials} frames complete and equal; at most {worst:.3} of the time that is allowed");
+    let got = format!(
+        "{trials} frames complete and equal, {helped} tiles taken over; at most {worst:.3} of the time allowed"
+    );
     Ok(Finding::holds(
         "every tile once; no longer than without the slow ones, and until they are late",
         got,
