@@ -77,31 +77,3 @@ pub async fn by_rows(cluster: &mut Cluster, job: &FrameJob, path: &Path) -> Resu
     cluster.render_rows(job, &mut stream, |_| ()).await.map_err(|e| e.to_string())?;
     stream.finish().await.map_err(|e| e.to_string())
 }
-
-/// The hashes of an image by either way.
-pub struct Hashes {
-    pub whole: ImageHash,
-    pub by_rows: ImageHash,
-}
-
-impl Hashes {
-    pub fn is_equal(&self) -> bool {
-        self.whole == self.by_rows
-    }
-}
-
-/// Renders a frame of 8 bits both ways.
-///
-/// # Errors
-/// Those of rendering and writing.
-pub async fn both_ways(
-    cluster: &mut Cluster,
-    pack: &Pack,
-    size: [u32; 2],
-    tile: u32,
-    folder: &Path,
-) -> Result<Hashes, String> {
-    let job = job(pack, size, tile, PixelFormat::Rgba8);
-    let by_rows = by_rows(cluster, &job, &folder.join("frame.png")).await?;
-    Ok(Hashes { whole: whole(cluster, &job).await?.hash(), by_rows })
-}
