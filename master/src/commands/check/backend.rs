@@ -13,6 +13,17 @@ use tessera_worker::gpu::GpuOptions;
 use tessera_worker::gpu::probe::{GpuProbe, ProbedScene, cpu_frame};
 use tessera_worker::{Kernel, NUMERIC_CLASS};
 
+/// How arithmetic rounds, beside that of the CPU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rounding {
+    /// The same operations on the same numbers.
+    Exact,
+    /// A GPU that decides in `f64`, whose compiler may fuse operations: the same triangles, at distances that may be two roundoffs off.
+    Double,
+    /// A GPU without `f64`.
+    Single,
+}
+
 /// Something that traces rays and renders frames.
 pub trait Renders {
     /// For people.
@@ -21,8 +32,13 @@ pub trait Renders {
     /// For programs.
     fn numeric_class(&self) -> String;
 
-    /// Whether its hits are the CPU's in every bit.
-    fn is_exact(&self) -> bool;
+    /// How its arithmetic rounds.
+    fn rounding(&self) -> Rounding;
+
+    /// Whether its pictures are the CPU's in every bit.
+    fn is_exact(&self) -> bool {
+        self.rounding() == Rounding::Exact
+    }
 
     /// Whether it is a GPU played by the CPU.
     fn is_software(&self) -> bool {
@@ -115,8 +131,8 @@ impl Renders for Cpu {
         NUMERIC_CLASS.into()
     }
 
-    fn is_exact(&self) -> bool {
-        true
+    fn rounding(&self) -> Rounding {
+        Rounding::Exact
     }
 
     fn hits(&self, pack: &Pack, rays: &[Ray]) -> Result<Vec<Option<Hit>>, String> {
@@ -180,8 +196,8 @@ impl Renders for Gpu {
         self.probe.numeric_class().into()
     }
 
-    fn is_exact(&self) -> bool {
-        self.probe.uses_f64()
+    fn rounding(&self) -> Rounding {
+        if self.probe.uses_f64() { Rounding::Double } else { Rounding::Single }
     }
 
     fn is_software(&self) -> bool {

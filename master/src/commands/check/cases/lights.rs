@@ -4,10 +4,10 @@ use crate::commands::check::backend::Renders;
 use crate::commands::check::case::{Case, Effort, Finding, Outcome, Run};
 use crate::commands::check::pack::{exact, packs};
 use std::f32::consts::PI;
-use tessera_geometry::{DVec3, Vec3};
+use tessera_geometry::DVec3;
 use tessera_pack::{Material, MaterialFlags};
 use tessera_whitted::stage::stages::{closed_box, corridor, light_in_surface, signed_ball, views_in_box};
-use tessera_whitted::stage::{Stage, chalk, directional_light, look, point_light};
+use tessera_whitted::stage::{BARE, Stage, chalk, directional_light, look, point_light};
 
 pub const CASES: &[Case] = &[
     Case {
@@ -245,31 +245,43 @@ fn thin_wall(renders: &dyn Renders, _: Effort) -> Outcome {
 }
 
 fn grazing(renders: &dyn Renders, effort: Effort) -> Outcome {
-    // Tilted, so that no coordinate of it is exact. The second is turned about one axis alone and looked at where corners far away weigh each
-    // other off: nothing but the offset keeps rounding errors of theirs from showing.
-    let planes = [
-        (Vec3::new(0.31, 0.83, -0.46), Vec3::new(0.77, -0.12, 0.3), 50.0, effort.pick(100, 200)),
-        (Vec3::new(0.7, 0.0, 0.7), Vec3::Y, 1.0, effort.pick(300, 600)),
-    ];
-    let (mut wrong, mut pixels) = (0, 0);
-    for (u, v, fov_degrees, side) in planes {
-        // Lit at 0.6 degrees.
-        let u = u.normalize();
-        let v = (v - u * v.dot(u)).normalize();
-        let normal = u.cross(v);
-        let to_f64 = |v: Vec3| v.as_dvec3().to_array();
-        let mut stage = Stage::default();
-        stage.quad([100.0, 200.0, -50.0], to_f64(u * 1000.0), to_f64(v * 1000.0), chalk());
-        let towards = (u + v * 0.2).normalize() + normal * 0.01;
-        stage.light(directional_light((-towards).to_array(), 100.0));
-        let pack = exact(&stage)?;
-        let middle = Vec3::new(100.0, 200.0, -50.0) + (u + v) * 500.0;
-        let mut view = look(to_f64(middle + normal * 300.0), to_f64(middle)).sized(side, side);
-        (view.pose.up, view.pose.fov_degrees) = (u.as_dvec3(), fov_degrees);
-        let wanted = 100.0 * towards.normalize().dot(normal) / PI;
-        let layers = renders.layers(&pack, &view)?;
-        wrong += layers.iter().filter(|p| (p.color[0] - wanted).abs() >= 1e-3 * wanted).count();
-        pixels += layers.len();
+    // Two planes of which no coordinate is exact: a square, and a triangle away from the middle of its scene, which others in two corners span.
+    // Nothing but the offset keeps its points, whose corners weigh each other off, from lying behind it.
+    let mut square = Stage::default();
+    let (u, v) = (DVec3::new(0.31, 0.83, -0.46).normalize(), DVec3::new(0.77, -0.12, 0.3));
+    let v = (v - u * v.dot(u)).normalize();
+    let corner = DVec3::new(100.0, 200.0, -50.0);
+    square.quad(corner.to_array(), (u * 1000.0).to_array(), (v * 1000.0).to_array(), chalk());
+    let mut triangle = Stage::default();
+    let corners = [[0.462, -0.430, 0.593], [0.768, 0.025, -0.207], [0.541, -0.253, 0.593]].map(DVec3::from);
+    let at = |p: DVec3| (p, BARE);
+    triangle.triangle(corners.map(at), chalk());
+    for side in [-1.0, 1.0] {
+        let end = DVec3::splat(side);
+        triangle
+            .triangle([end, end - DVec3::X * (0.01 * side), end - DVec3::Y * (0.01 * side)].map(at), chalk());
     }
-    Ok(Finding::none(wrong, pixels, "pixels of another irradiance"))
+    let scenes = [
+        (square, [corner, corner + u * 1000.0, corner + v * 1000.0], corner + (u + v) * 500.0, 300.0),
+        (triangle, corners, (corners[0] + corners[1] + corners[2]) / 3.0, 0.08),
+    ];
+    let side = effort.pick(120, 300);
+    let (mut wrong, mut pixels) = (0, 0);
+    for (mut stage, [a, b, c], middle, height) in scenes {
+        // Lit at 0.6 degrees.
+        let (u, normal) = ((b - a).normalize(), (b - a).cross(c - a).normalize());
+        let towards = (u + normal.cross(u) * 0.2).normalize() + normal * 0.01;
+        stage.light(directional_light((-towards).as_vec3().to_array(), 100.0));
+        let mut view = look((middle + normal * height).to_array(), middle.to_array()).sized(side, side);
+        view.pose.up = u;
+        let wanted = (100.0 * towards.normalize().dot(normal)) as f32 / PI;
+        let layers = renders.layers(&exact(&stage)?, &view)?;
+        let seen = layers.iter().filter(|p| p.id < 2 && p.alpha == 1.0);
+        wrong += seen.clone().filter(|p| (p.color[0] - wanted).abs() >= 1e-3 * wanted).count();
+        pixels += seen.count();
+    }
+    Ok(Finding::all([
+        Finding::none(wrong, pixels, "pixels of another irradiance"),
+        Finding::at_least("pixels of the planes", pixels, (side * side) as usize),
+    ]))
 }
