@@ -171,7 +171,10 @@ fn all_forms_render_the_same_bytes() {
         // colour may be a roundoff off, which no code of 8 bits shows.
         if f64 {
             let (bytes, rays) = cpu_frame(&pack, Kernel::default(), &frame);
-            assert_eq!(whole.1, rays, "the CPU: rays of {size:?}, {samples} samples, {sampling:?}, {format:?}");
+            assert_eq!(
+                whole.1, rays,
+                "the CPU: rays of {size:?}, {samples} samples, {sampling:?}, {format:?}"
+            );
             assert!(format != PixelFormat::Rgba8 || whole.0 == bytes, "the CPU: bytes of {sampling:?}");
         }
         for (name, other) in [("a short stack", short), ("waves", waves)] {
