@@ -167,10 +167,17 @@ fn all_forms_render_the_same_bytes() {
             scenes.each_ref().map(|scene| scene.frame(&frame).expect("a frame"));
         let Rays { shadow, reflection, refraction, .. } = whole.1;
         assert!(shadow > 0 && reflection > 0 && refraction > 0, "the scene asks for every kind of ray");
-        // Where all is computed in f64 that decides, the CPU's blocks end with the same rounds.
-        let cpu = f64.then(|| cpu_frame(&pack, Kernel::default(), &frame));
-        let others = [("a short stack", Some(short)), ("waves", Some(waves)), ("the CPU", cpu)];
-        for (name, other) in others.into_iter().filter_map(|(name, other)| Some((name, other?))) {
+        // Where all is computed in f64 that decides, the CPU traces the same rays, and blocks end with the same rounds. A distance or a
+        // colour may be a roundoff off, which no code of 8 bits shows.
+        if f64 {
+            let (bytes, rays) = cpu_frame(&pack, Kernel::default(), &frame);
+            assert_eq!(
+                whole.1, rays,
+                "the CPU: rays of {size:?}, {samples} samples, {sampling:?}, {format:?}"
+            );
+            assert!(format != PixelFormat::Rgba8 || whole.0 == bytes, "the CPU: bytes of {sampling:?}");
+        }
+        for (name, other) in [("a short stack", short), ("waves", waves)] {
             assert_eq!(
                 whole.1, other.1,
                 "{name}: rays of {size:?}, {samples} samples, {sampling:?}, {format:?}"

@@ -4,8 +4,8 @@
 //! for the device between tiles.
 //!
 //! Of a frame with adaptive sampling the device takes the samples of a round and hands back their sums; [`AdaptiveTile`], the CPU's own, decides
-//! here which blocks need more, and codes the pixels. With `f64` the sums are the CPU's, and so are all decisions; without it a block at the
-//! threshold may get another round than there.
+//! here which blocks need more, and codes the pixels. With `f64` the sums are the CPU's but for a roundoff here and there, and decisions differ
+//! only where an estimate is within that of the threshold; without it more blocks near the threshold may get another round than there.
 
 use super::kernel::{GROUP_SIDE, Kernel, Purpose, SLOT_BINDING};
 use super::pass::{Cut, Piece, Together};
