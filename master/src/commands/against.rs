@@ -4,16 +4,16 @@ use super::progress::Progress;
 use super::reference::{References, Truths};
 use super::run::Session;
 use super::{CommandError, SceneArgs};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
 use tessera_geometry::{CameraPose, linear_from_srgb};
 use tessera_master::compare::{Kind, Picture, compare};
 use tessera_master::report::{ErrorReport, ErrorStep};
-use tessera_master::{FrameBuffer, FrameJob, FrameResult, PixelFormat, prepare};
+use tessera_master::{FrameBuffer, FrameJob, FrameResult, OutputFile, PixelFormat, prepare};
 use tessera_oracle::View;
 use tessera_pack::Plain;
-use tessera_wire::limits;
+use tessera_wire::{Sampling, limits};
 
 /// What a picture is compared with.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -70,37 +70,78 @@ pub struct Subject<'a> {
     pub job: &'a FrameJob,
 }
 
+/// A picture to compare with.
+pub struct Truth {
+    picture: Picture,
+    /// Of the frame that it is, if it is one that was rendered for the purpose.
+    class: Option<String>,
+}
+
+/// What is known of the picture before the scene is read.
+pub struct Wanted<'a> {
+    pub scene: &'a SceneArgs,
+    pub out: &'a OutputFile,
+    pub report: Option<&'a OutputFile>,
+    pub width: u32,
+    pub height: u32,
+    pub samples: u32,
+    pub format: PixelFormat,
+}
+
 impl Against {
-    /// Checks what can be checked before the scene is read.
-    pub fn check(&self, scene: &SceneArgs, out: &Path) -> Result<(), CommandError> {
-        let is_bundle = scene.scene.extension().is_some_and(|e| e.eq_ignore_ascii_case("tpack"));
-        match self {
-            Self::Plain | Self::Oracle(_) if is_bundle => Err(CommandError::Usage(format!(
-                "--error-against {self}: {} is a bundle, which holds no exact scene; name the scene that it was packed from",
-                scene.scene.display()
-            ))),
-            Self::File(path) if path == out => Err(CommandError::Usage(format!(
-                "--error-against {self}: the picture would replace it; name another file by --out"
-            ))),
-            _ => Ok(()),
+    /// Checks what can be checked before the scene is read, and reads the picture if it is in a file.
+    pub fn check(&self, wanted: &Wanted<'_>) -> Result<Option<Truth>, CommandError> {
+        let refuse = |what: String| Err(CommandError::Usage(format!("--error-against {self}: {what}")));
+        let is_bundle = wanted.scene.scene.extension().is_some_and(|e| e.eq_ignore_ascii_case("tpack"));
+        let path = match self {
+            Self::Plain | Self::Oracle(_) if is_bundle => {
+                let bundle = wanted.scene.scene.display();
+                return refuse(format!(
+                    "{bundle} is a bundle, which holds no exact scene; name what it was packed from"
+                ));
+            }
+            Self::Samples(samples) if u64::from(*samples) < 4 * u64::from(wanted.samples) => {
+                let least = 4 * u64::from(wanted.samples);
+                return refuse(format!(
+                    "that is no truer than the picture; ask for at least {least}, four times its samples"
+                ));
+            }
+            Self::Plain | Self::Oracle(_) | Self::Samples(_) => return Ok(None),
+            Self::File(path) => path,
+        };
+        if [Some(wanted.out), wanted.report].into_iter().flatten().any(|file| file.is_at(path)) {
+            return refuse("this render would replace it; name another file by --out or --report".into());
         }
+        let picture = Picture::load(path).map_err(CommandError::failed)?;
+        let kind = kind_of(wanted.format);
+        if picture.kind != Kind::Linear && picture.kind != kind {
+            return refuse(format!(
+                "holds {}, and the picture {}; name an EXR file, or one of the picture's kind",
+                picture.kind.name(),
+                kind.name()
+            ));
+        }
+        if (picture.width, picture.height) != (wanted.width, wanted.height) {
+            return refuse(format!(
+                "is {} x {} pixels large, and the picture {} x {}; give it by --size",
+                picture.width, picture.height, wanted.width, wanted.height
+            ));
+        }
+        Ok(Some(Truth { picture, class: None }))
     }
 
-    /// The picture to compare with: linear, or of the kind that the frame is of.
-    pub fn picture(
+    /// The picture that was not read from a file: linear, or of the kind that the frame is of.
+    fn make(
         &self,
         subject: &Subject<'_>,
         session: &mut Session<'_>,
         progress: &Progress,
-    ) -> Result<Picture, CommandError> {
+    ) -> Result<Truth, CommandError> {
         let job = subject.job;
-        let found = match self {
-            Self::File(path) => Picture::load(path).map_err(CommandError::failed)?,
-            Self::Plain => plain_frame(subject, session, progress)?,
-            Self::Samples(samples) => {
-                let sampling = tessera_wire::Sampling { adaptive: None, ..job.sampling };
-                let frame = session.render(&FrameJob { samples: *samples, sampling, ..job.clone() })?;
-                Picture::from_frame(&frame.image)
+        let frame = match self {
+            Self::File(path) => {
+                let picture = Picture::load(path).map_err(CommandError::failed)?;
+                return Ok(Truth { picture, class: None });
             }
             Self::Oracle(samples) => {
                 let options = subject.scene.packing.options();
@@ -115,23 +156,24 @@ impl Against {
                     depth: job.depth,
                     min_weight: job.sampling.cutoff.into(),
                 };
-                truths.picture(&view, progress)?
+                return Ok(Truth { picture: truths.picture(&view, progress)?, class: None });
+            }
+            Self::Plain => plain_frame(subject, session, progress)?,
+            // Of another seed: the picture's own samples must not be among them.
+            Self::Samples(samples) => {
+                let sampling = Sampling { adaptive: None, ..job.sampling };
+                session.render(&FrameJob {
+                    samples: *samples,
+                    sampling,
+                    seed: job.seed ^ 1,
+                    ..job.clone()
+                })?
             }
         };
-        if found.kind != Kind::Linear && found.kind != kind_of(job.format) {
-            return Err(CommandError::Usage(format!(
-                "--error-against {self}: holds {}, and the picture {}; name an EXR file, or one of the picture's kind",
-                found.kind.name(),
-                kind_of(job.format).name()
-            )));
-        }
-        if (found.width, found.height) != (job.width, job.height) {
-            return Err(CommandError::Usage(format!(
-                "--error-against {self}: is {} x {} pixels large, and the picture {} x {}; give it by --size",
-                found.width, found.height, job.width, job.height
-            )));
-        }
-        Ok(found)
+        Ok(Truth {
+            picture: Picture::from_frame(&frame.image),
+            class: frame.numeric_class().map(String::from),
+        })
     }
 }
 
@@ -140,7 +182,7 @@ fn plain_frame(
     subject: &Subject<'_>,
     session: &Session<'_>,
     progress: &Progress,
-) -> Result<Picture, CommandError> {
+) -> Result<FrameResult, CommandError> {
     let mut options = subject.scene.packing.options();
     options.plain = Plain { positions: true, normals: true, uvs: true };
     let prepared = {
@@ -153,19 +195,26 @@ fn plain_frame(
     let mut session = Session::open(&prepared.pack, session.crew(), progress)?;
     let frame = session.render(&FrameJob { camera, ..job.clone() });
     session.close();
-    Ok(Picture::from_frame(&frame?.image))
+    frame
 }
 
-/// Renders the frame with 1, 2, 4, ... samples a pixel up to those that it is to have, which takes less than twice as long, and says after
-/// each how far it is. The last one is the frame that was asked for.
+/// Renders the frame with 1, 2, 4, ... samples a pixel up to those that it is to have, each from its beginning, which takes less than three times as
+/// long, and says after each how far it is. The last one is the frame that was asked for.
 pub fn render(
     against: &Against,
+    known: Option<Truth>,
     subject: &Subject<'_>,
     session: &mut Session<'_>,
     progress: &Progress,
 ) -> Result<(FrameResult, ErrorReport), CommandError> {
     let job = subject.job;
-    let truth = against.picture(subject, session, progress)?;
+    let mut truth = match known {
+        Some(truth) => truth,
+        None => against.make(subject, session, progress)?,
+    };
+    if job.format != PixelFormat::Layers {
+        truth.clamp();
+    }
     let mut report = ErrorReport { against: against.to_string(), steps: Vec::new() };
     let mut total = Duration::ZERO;
     for samples in fewer(job) {
@@ -183,7 +232,7 @@ fn fewer(job: &FrameJob) -> impl Iterator<Item = u32> {
 
 fn step(
     job: &FrameJob,
-    truth: &Picture,
+    truth: &Truth,
     session: &mut Session<'_>,
     total: &mut Duration,
     report: &mut ErrorReport,
@@ -191,7 +240,15 @@ fn step(
 ) -> Result<FrameResult, CommandError> {
     let frame = session.render(job)?;
     *total += frame.timings.frame;
-    let error = compare(truth, &seen(&frame.image, truth.kind)).map_err(CommandError::failed)?;
+    if let (Some(class), Some(own)) = (&truth.class, frame.numeric_class())
+        && class != own
+    {
+        return Err(CommandError::Failed(format!(
+            "the truer picture was rendered by {class} and this one by {own}; choose one with --backend"
+        )));
+    }
+    let error =
+        compare(&truth.picture, &seen(&frame.image, truth.picture.kind)).map_err(CommandError::failed)?;
     let step = ErrorStep::new(job.samples, frame.timings.frame, *total, error);
     if report.steps.is_empty() {
         progress.line(ErrorStep::HEAD);
@@ -199,6 +256,16 @@ fn step(
     progress.line(&step.text());
     report.steps.push(step);
     Ok(frame)
+}
+
+impl Truth {
+    /// Light beyond what 8 or 16 bits can show is no error of the picture's.
+    fn clamp(&mut self) {
+        if self.picture.kind == Kind::Linear {
+            let values = self.picture.channels.iter_mut().flatten();
+            values.for_each(|value| *value = value.clamp(0.0, 1.0));
+        }
+    }
 }
 
 /// The frame as a picture of `kind`. Codes are decoded for a linear one, and premultiplied as linear pictures are: what coding has rounded

@@ -13,7 +13,7 @@ impl Fit {
     /// the slope is that of the residuals, `sqrt(sum r^2 / (n - 2) / sum (x - mean)^2)`, and its quantile Student's with `n - 2`
     /// degrees of freedom (Draper and Smith, *Applied Regression Analysis*, section 1.4). `None` for fewer.
     pub fn of(points: &[(f64, f64)]) -> Option<Self> {
-        let quantile = STUDENT_975.get(points.len().checked_sub(3)?).copied().unwrap_or(1.96);
+        let quantile = STUDENT_975.get(points.len().checked_sub(3)?).or(STUDENT_975.last()).copied()?;
         let logs: Vec<_> = points.iter().map(|&(x, y)| (libm::log(x), libm::log(y))).collect();
         let n = logs.len() as f64;
         let mean = |of: fn(&(f64, f64)) -> f64| logs.iter().map(of).sum::<f64>() / n;
@@ -38,8 +38,12 @@ impl std::fmt::Display for Fit {
     }
 }
 
-/// 97.5 % quantiles of Student's distribution with 1 to 10 degrees of freedom.
-const STUDENT_975: [f64; 10] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228];
+/// 97.5 % quantiles of Student's distribution with 1 to 30 degrees of freedom.
+#[rustfmt::skip]
+const STUDENT_975: [f64; 30] = [
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086,
+    2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
+];
 
 #[cfg(test)]
 mod tests {

@@ -1,6 +1,6 @@
 //! `tessera render`.
 
-use super::against::{self, Against, Subject};
+use super::against::{self, Against, Subject, Wanted};
 use super::args::{Size, Triple, coded_error, field_of_view, weight};
 use super::backend::BackendArgs;
 use super::progress::Progress;
@@ -49,8 +49,9 @@ pub struct RenderArgs {
     /// Say how far the picture is from a truer one, beside the time that it took
     ///
     /// FILE is an EXR file, or one of the picture's own kind; plain is the same frame of plain vertices, spp:N the one of so many samples a
-    /// pixel, oracle what an f64 tracer over the scene as its file states it sees (kept for the next time). The frame is rendered with 1, 2,
-    /// 4, ... samples first, so that the error is seen to fall; the last picture is the one that is written.
+    /// pixel and another seed, oracle what an f64 tracer over the scene as its file states it sees (kept for the next time). A PNG picture
+    /// is compared with what of a linear one it can show. The frame is rendered with 1, 2, 4, ... samples first, each from its beginning, so
+    /// that the error is seen to fall; the last picture is the one that is written.
     #[arg(long, value_name = "FILE|plain|spp:N|oracle[:N]")]
     error_against: Option<Against>,
     #[command(flatten)]
@@ -163,15 +164,14 @@ enum Bits {
 
 pub fn run(args: RenderArgs, progress: &Progress) -> Result<(), CommandError> {
     let RenderArgs { scene, out, workers, master, error_against, frame } = args;
-    if let Some(against) = &error_against {
-        against.check(&scene, &out)?;
-    }
     let crew = match master {
         Some(join) => Crew::Master(super::join::parse(&join, "--master")?),
         None => Crew::Local(frame.local_crew(workers)),
     };
     let mut plan = Plan::check(&out, Some(&scene.scene), crew, &frame, &scene.packing)?;
-    plan.against = error_against.as_ref().map(|against| (against, &scene));
+    if let Some(against) = &error_against {
+        plan.compare_with(against, &scene)?;
+    }
     let plan = plan.with_backend(progress)?;
     let prepared = prepare_scene(&scene.scene, &scene.packing, progress)?;
     plan.render(&prepared, progress)
@@ -186,7 +186,7 @@ pub struct Plan<'a> {
     crew: Crew,
     args: &'a FrameArgs,
     /// What the picture is compared with, and of what scene it is.
-    against: Option<(&'a Against, &'a SceneArgs)>,
+    against: Option<(&'a Against, Option<against::Truth>, &'a SceneArgs)>,
 }
 
 impl<'a> Plan<'a> {
@@ -228,6 +228,16 @@ impl<'a> Plan<'a> {
         Ok(Self { out, report, format, features, crew, args, against: None })
     }
 
+    /// Has the picture of `scene` compared with another; one in a file is read now.
+    fn compare_with(&mut self, against: &'a Against, scene: &'a SceneArgs) -> Result<(), CommandError> {
+        let Size { width, height } = self.args.size;
+        let (out, report) = (&self.out, self.report.as_ref());
+        let (samples, format) = (self.args.spp, self.format);
+        let truth = against.check(&Wanted { scene, out, report, width, height, samples, format })?;
+        self.against = Some((against, truth, scene));
+        Ok(())
+    }
+
     /// Settles what renders (see [`Crew::settle_backend`]).
     pub fn with_backend(mut self, progress: &Progress) -> Result<Self, CommandError> {
         self.crew.settle_backend(progress)?;
@@ -235,7 +245,7 @@ impl<'a> Plan<'a> {
     }
 
     /// Renders, writes the files and says what was done.
-    pub fn render(self, prepared: &Prepared, progress: &Progress) -> Result<(), CommandError> {
+    pub fn render(mut self, prepared: &Prepared, progress: &Progress) -> Result<(), CommandError> {
         let args = self.args;
         let (name, pose) = args.pose(prepared)?;
         let Size { width, height } = args.size;
@@ -258,11 +268,11 @@ impl<'a> Plan<'a> {
             mix: args.mix,
         };
         let mut session = Session::open(&prepared.pack, &self.crew, progress)?;
-        let frame = match self.against {
+        let frame = match self.against.take() {
             None => self.render_to_file(&mut session, &job).map(|frame| (frame, None)),
-            Some((against, scene)) => {
+            Some((against, truth, scene)) => {
                 let subject = Subject { scene, pose, job: &job };
-                let found = against::render(against, &subject, &mut session, progress);
+                let found = against::render(against, truth, &subject, &mut session, progress);
                 found.and_then(|(frame, error)| Ok((self.write(frame)?, Some(error))))
             }
         };

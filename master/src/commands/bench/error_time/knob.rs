@@ -74,12 +74,13 @@ impl Knob {
     pub fn what(self) -> &'static str {
         match self {
             Self::Spp => {
-                "Samples a pixel are doubled, with each sampler. The error is that against the oracle with many more samples, so it is \
-                 the sampler's until what packing costs shows as a floor."
+                "Samples a pixel are doubled, with each sampler. Vertices are plain and the oracle takes many more samples, so that the \
+                 error is the sampler's."
             }
             Self::Adaptive => {
-                "Samples are added to blocks of 16 x 16 pixels until the error that their scatter lets expect is below a threshold; \
-                 beside it the same sampler with as many samples everywhere."
+                "Samples are added to blocks of 16 x 16 pixels, at least 16 and at most four times --spp-max a pixel, until the error that \
+                 their scatter lets expect is below a threshold; beside it the same sampler with as many samples everywhere. Vertices are \
+                 plain. The threshold is one of sRGB-coded values, as a viewer sees them; the front is by linear light."
             }
             Self::Packed => {
                 "The rows of the paper's Table 4: plain vertices, quantised positions (POS), normals too (POS/NORM), texture coordinates \
@@ -105,7 +106,10 @@ impl Knob {
             Self::Cutoff => {
                 "The weight in the pixel below which a mirror or glass ray is not traced; the truth's is 2^-20. The depth is the same."
             }
-            Self::Backend => "Who traces the rays of the same pack. Pictures of one numeric class are equal.",
+            Self::Backend => {
+                "Who traces the rays of the same pack. Pictures of one numeric class are equal. A GPU takes part only where --gpu names \
+                 one."
+            }
             Self::Tile => {
                 "The side of a tile, on a worker in this process behind the protocol that workers elsewhere speak. Pictures are equal: \
                  only time moves."
@@ -209,8 +213,8 @@ pub struct Setting {
 /// Greatest depth that a truth needs: the protocol's.
 const DEEPEST: u32 = tessera_wire::limits::DEPTH;
 
-/// 2^-20: a truth without a cut-off. A ray below it changes a pixel by less than a tenth of what an `f32` sum of a few terms near 1 is
-/// rounded by per unit of radiance.
+/// 2^-20: a truth with hardly a cut-off. A ray below it changes a pixel by at most 2^-20 of the radiance that it would bring, a sixteenth of
+/// what the smallest setting tried leaves out.
 const FAINTEST: f64 = 1.0 / 1_048_576.0;
 
 impl Base {
@@ -235,46 +239,52 @@ impl Base {
         Setting { number: Some(number), ..self.setting(series, number.to_string()) }
     }
 
-    /// The look with so many samples.
-    fn sampled(&self, samples: u32, sampler: Sampler, adaptive: Option<Adaptive>) -> Look {
-        let sampling = Sampling { sampler, adaptive, ..self.look.sampling };
-        Look { samples, sampling, ..self.look }
+    /// Plain vertices with so many samples a pixel, compared with many more.
+    fn sampled(
+        &self,
+        series: &str,
+        value: String,
+        samples: u32,
+        sampler: Sampler,
+        adaptive: Option<Adaptive>,
+    ) -> Setting {
+        let mut setting = Setting { packing: plain(self), ..self.setting(series, value) };
+        setting.number = adaptive.is_none().then(|| samples.into());
+        setting.look.samples = samples;
+        setting.look.sampling = Sampling { sampler, adaptive, ..setting.look.sampling };
+        setting.truth.samples = self.truth_spp;
+        setting
     }
 
-    /// 1, 2, 4, ... samples.
-    fn doublings(&self) -> impl Iterator<Item = u32> {
-        let most = self.spp_max;
-        std::iter::successors(Some(1u32), |n| n.checked_mul(2)).take_while(move |n| *n <= most)
+    /// Most samples a pixel of adaptive sampling.
+    fn spp_most(&self) -> u32 {
+        4 * self.spp_max
+    }
+
+    /// Powers of two times `least`, up to `most`.
+    fn doublings(&self, least: u32, most: u32) -> impl Iterator<Item = u32> + use<> {
+        std::iter::successors(Some(least), |n| n.checked_mul(2)).take_while(move |n| *n <= most)
     }
 }
 
 pub const ALL_PLAIN: Plain = Plain { positions: true, normals: true, uvs: true };
 
 fn spp(base: &Base) -> Vec<Setting> {
-    let truth = Truth { samples: base.truth_spp, ..base.setting("", "").truth };
     let of = |sampler: Sampler| {
-        base.doublings().map(move |samples| Setting {
-            look: base.sampled(samples, sampler, None),
-            truth,
-            ..base.numbered(sampler.name(), samples)
-        })
+        base.doublings(1, base.spp_max)
+            .map(move |samples| base.sampled(sampler.name(), samples.to_string(), samples, sampler, None))
     };
     Sampler::ALL.into_iter().flat_map(of).collect()
 }
 
 fn adaptive(base: &Base) -> Vec<Setting> {
-    let truth = Truth { samples: base.truth_spp, ..base.setting("", "").truth };
-    let sampler = Sampler::LowDiscrepancy;
-    let uniform = base.doublings().map(|samples| Setting {
-        look: base.sampled(samples, sampler, None),
-        truth,
-        ..base.numbered("uniform", samples)
-    });
-    let thresholds = (3..=9).map(|power| f64::from(1u32 << power).recip());
-    let adaptive = thresholds.map(|error| Setting {
-        look: base.sampled(base.spp_max, sampler, Some(Adaptive { error: error as f32 })),
-        truth,
-        ..base.numbered("adaptive", error)
+    let (sampler, most) = (Sampler::LowDiscrepancy, base.spp_most());
+    let uniform = base
+        .doublings(16.min(most), most)
+        .map(|samples| base.sampled("uniform", samples.to_string(), samples, sampler, None));
+    let adaptive = (3..=8).map(|power| {
+        let adaptive = Adaptive { error: f64::from(1u32 << power).recip() as f32 };
+        base.sampled("adaptive", format!("2^-{power}"), most, sampler, Some(adaptive))
     });
     uniform.chain(adaptive).collect()
 }
@@ -357,14 +367,10 @@ fn refs(base: &Base) -> Vec<Setting> {
     let counts =
         (0..=2).map(|max_refs| tree("references", max_refs.to_string(), BuildOptions { max_refs, ..usual }));
     let tests = [0.0, 0.3, 1.0, 2.0].map(|tau_tests| {
-        tree("two, from so many tests a ray", format!("{tau_tests}"), BuildOptions { tau_tests, ..usual })
+        tree("two, by tau_tests", format!("{tau_tests}"), BuildOptions { tau_tests, ..usual })
     });
     let saving = [0.0, 0.25, 4.0, 16.0].map(|least_saving| {
-        tree(
-            "two, splits that save so much",
-            format!("{least_saving}"),
-            BuildOptions { least_saving, ..usual },
-        )
+        tree("two, by least_saving", format!("{least_saving}"), BuildOptions { least_saving, ..usual })
     });
     counts.chain(tests).chain(saving).collect()
 }

@@ -50,8 +50,6 @@ pub struct Outcome {
     pub to_plain: Option<Comparison>,
     /// Of the 8-bit picture.
     pub hash: String,
-    /// The linear picture.
-    pub picture: Picture,
 }
 
 /// Sizes of a pack.
@@ -66,8 +64,40 @@ pub struct Bytes {
 pub struct Turned {
     pub knob: Knob,
     pub outcomes: Vec<Outcome>,
-    /// The truth of the first setting.
+    pub extremes: Extremes,
+    /// Wall time between the measured frames, as a share of theirs.
+    pub harness_share: f64,
+}
+
+/// The best and the worst picture of a knob.
+#[derive(Default)]
+pub struct Extremes {
+    pub best: Option<Extreme>,
+    pub worst: Option<Extreme>,
+}
+
+/// A picture, and what it was compared with.
+#[derive(Clone)]
+pub struct Extreme {
+    pub setting: String,
+    pub rmse: f64,
     pub truth: Rc<Picture>,
+    pub picture: Rc<Picture>,
+}
+
+impl Extremes {
+    fn see(&mut self, setting: &Setting, truth: &Rc<Picture>, rmse: f64, picture: Picture) {
+        let is_best = self.best.as_ref().is_none_or(|best| rmse < best.rmse);
+        let is_worst = self.worst.as_ref().is_none_or(|worst| rmse > worst.rmse);
+        let setting = format!("{} {}", setting.series, setting.value);
+        let extreme = Extreme { setting, rmse, truth: truth.clone(), picture: Rc::new(picture) };
+        if is_worst {
+            self.worst = Some(extreme.clone());
+        }
+        if is_best {
+            self.best = Some(extreme);
+        }
+    }
 }
 
 impl Studio<'_> {
@@ -81,12 +111,19 @@ impl Studio<'_> {
             .zip(&packs)
             .map(|(setting, pack)| self.peer(setting, pack))
             .collect::<Result<Vec<_>, _>>()?;
-        let pictures = peers.iter_mut().map(|peer| peer.picture()).collect::<Result<Vec<_>, _>>()?;
-        measure(&mut peers, self.args.reps, knob, self.progress)?;
+        // One picture at a time: of all of them only the best and the worst are shown.
+        let mut errors = Vec::with_capacity(peers.len());
+        let mut extremes = Extremes::default();
+        for (peer, truth) in peers.iter_mut().zip(&truths) {
+            let picture = peer.picture()?;
+            let error = compare(truth, &picture).map_err(CommandError::failed)?;
+            extremes.see(&peer.setting, truth, error.rmse, picture);
+            errors.push(error);
+        }
+        let harness_share = measure(&mut peers, self.args.reps, knob, self.progress)?;
         let shown = peers.iter().map(Peer::shown).collect::<Result<Vec<_>, _>>()?;
         let mut outcomes = Vec::with_capacity(peers.len());
-        for (place, (peer, picture)) in peers.iter().zip(pictures).enumerate() {
-            let error = compare(&truths[place], &picture).map_err(CommandError::failed)?;
+        for (place, (peer, error)) in peers.iter().zip(errors).enumerate() {
             let plain = (knob == Knob::Packed).then(|| plain_twin(&peers, peer)).flatten();
             let to_plain = plain.map(|plain| {
                 compare(&Picture::from_frame(&shown[plain]), &Picture::from_frame(&shown[place]))
@@ -101,13 +138,10 @@ impl Studio<'_> {
                 error,
                 to_plain: to_plain.transpose().map_err(CommandError::failed)?,
                 hash: shown[place].hash().to_string(),
-                picture,
             });
         }
         drop_repeated(&mut outcomes);
-        let truth = truths.into_iter().next();
-        let truth = truth.ok_or_else(|| CommandError::Failed(format!("{knob}: there is nothing to try")))?;
-        Ok(Turned { knob, outcomes, truth })
+        Ok(Turned { knob, outcomes, extremes, harness_share })
     }
 
     /// What each setting is compared with; equal ones are asked for once.
@@ -223,15 +257,22 @@ impl Peer<'_> {
         let job = FrameJob { format, ..self.job.clone() };
         let frame: Frame = job.to_wire(FrameId(1), tessera_wire::PackId(self.pack.id().0));
         let watch = Watch::start();
-        let (pixels, rays) = match &mut self.hands {
-            Hands::Cpu(kernel) => cpu_frame(self.pack, *kernel, &frame),
-            Hands::Gpu(scene) => scene.frame(&frame).map_err(CommandError::failed)?,
+        let (pixels, rays, cost) = match &mut self.hands {
+            Hands::Cpu(kernel) => {
+                let (pixels, rays) = cpu_frame(self.pack, *kernel, &frame);
+                (pixels, rays, watch.read())
+            }
+            Hands::Gpu(scene) => {
+                let (pixels, rays) = scene.frame(&frame).map_err(CommandError::failed)?;
+                (pixels, rays, watch.read())
+            }
             Hands::Worker(session) => {
                 let frame = session.render(&job)?;
-                (frame.image.data().to_vec(), frame.rays)
+                let cost = watch.read();
+                (frame.image.data().to_vec(), frame.rays, cost)
             }
         };
-        Ok((pixels, rays, watch.read()))
+        Ok((pixels, rays, cost))
     }
 
     /// The linear picture: what its error is measured on. Also warms up.
@@ -250,33 +291,38 @@ impl Peer<'_> {
     }
 }
 
-/// Lets everybody render once to warm up, and then so often in turn, so that what else the machine does meets all of them.
-fn measure(peers: &mut [Peer<'_>], reps: u32, knob: Knob, progress: &Progress) -> Result<(), CommandError> {
+/// Lets everybody render once to warm up, and then so often in turn, so that what else the machine does meets all of them. Says how much
+/// time passed between the measured frames, as a share of theirs.
+fn measure(peers: &mut [Peer<'_>], reps: u32, knob: Knob, progress: &Progress) -> Result<f64, CommandError> {
     let bar = progress.parts(&format!("{knob}: rendering frames"));
     let count = peers.len() as u64;
-    for pass in 0..=u64::from(reps) {
+    for peer in &mut *peers {
+        let (pixels, rays, _) = peer.render(PixelFormat::Rgba8)?;
+        (peer.shown, peer.rays) = (pixels, rays);
+    }
+    let watch = Watch::start();
+    let mut in_frames = 0.0;
+    for pass in 0..u64::from(reps) {
         for (done, peer) in (pass * count..).zip(&mut *peers) {
-            bar.set(done, count * (u64::from(reps) + 1));
-            let (pixels, rays, cost) = peer.render(PixelFormat::Rgba8)?;
-            if pass == 0 {
-                (peer.shown, peer.rays) = (pixels, rays);
-                continue;
-            }
+            bar.set(done, count * u64::from(reps));
+            let (pixels, _, cost) = peer.render(PixelFormat::Rgba8)?;
             if pixels != peer.shown {
                 let Setting { series, value, .. } = &peer.setting;
                 return Err(CommandError::Failed(format!(
                     "{knob}, {series} {value}: it does not render the same frame twice"
                 )));
             }
+            in_frames += cost.wall_s;
             peer.wall_s.push(cost.wall_s);
             peer.cpu_s.push(cost.cpu_s);
         }
     }
+    let between = watch.read().wall_s - in_frames;
     for peer in peers {
         peer.wall_s.sort_by(f64::total_cmp);
         peer.cpu_s.sort_by(f64::total_cmp);
     }
-    Ok(())
+    Ok(between / in_frames.max(f64::MIN_POSITIVE))
 }
 
 /// The place of the frame that differs from `peer`'s by its plain vertices alone.

@@ -58,10 +58,12 @@ pub struct ErrorTimeArgs {
     /// Mirrors and glass that a path may meet one after the other
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(0..=i64::from(limits::DEPTH)))]
     depth: u32,
-    /// Most samples a pixel that are tried
+    /// Most samples a pixel that are tried; adaptive sampling may take four times as many
     #[arg(long, value_name = "N", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=4096))]
     spp_max: u32,
-    /// Samples a pixel of the truth that samplers are held to [default: 8 times --spp-max]
+    /// Samples a pixel of the truth that samplers are held to [default: 16 times --spp-max]
+    ///
+    /// Such a truth takes as long as that many pictures by a tracer that is some ten times slower.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65536))]
     reference_spp: Option<u32>,
     /// Measured frames of each setting
@@ -107,11 +109,12 @@ struct Report<'a> {
     clock_s: f64,
     command: &'a str,
     machine: Vec<(String, String)>,
-    knobs: &'a [Summary],
+    knobs: Vec<Summary>,
 }
 
 pub fn run(args: &ErrorTimeArgs, progress: &Progress) -> Result<(), CommandError> {
     super::refuse_bundle(&args.scene)?;
+    let command = command_line();
     let out = args.out.as_deref().map(Folder::check).transpose()?;
     let references = References::open(args.references.as_deref())?;
     let gpu = args.gpu.as_deref().map(|gpu| GpuProbe::open(Some(gpu), GpuOptions::default())).transpose();
@@ -126,7 +129,7 @@ pub fn run(args: &ErrorTimeArgs, progress: &Progress) -> Result<(), CommandError
     let camera = choose_camera(&scene.cameras, args.camera.as_deref()).map_err(CommandError::Usage)?.clone();
     let look =
         Look { samples: 1, sampling: Sampling::default(), depth: args.depth, features: Features::default() };
-    let truth_spp = args.reference_spp.unwrap_or(8 * args.spp_max);
+    let truth_spp = args.reference_spp.unwrap_or(16 * args.spp_max);
     let mut truths = Vec::new();
     let unbent = Without { reflection: true, refraction: true, ..Without::default() };
     for without in [Without::default(), unbent] {
@@ -138,20 +141,8 @@ pub fn run(args: &ErrorTimeArgs, progress: &Progress) -> Result<(), CommandError
     let triangles = truths[0].1.triangles();
     let studio = Studio { args, scene: &scene, pose: camera.pose, base, gpu, truths, progress };
 
-    let mut turned = Vec::new();
-    let mut summaries = Vec::new();
-    for &knob in knobs {
-        let found = studio.turn(knob)?;
-        let summary = Summary::of(&found, args.clock, truth_spp);
-        if !args.json {
-            print_text(&lines::text(&summary, args.clock))?;
-        }
-        turned.push(found);
-        summaries.push(summary);
-    }
     let name = super::name_of(&args.scene);
-    let command = command_line();
-    let report = Report {
+    let mut report = Report {
         scene: &name,
         triangles,
         camera: &camera.name,
@@ -163,10 +154,21 @@ pub fn run(args: &ErrorTimeArgs, progress: &Progress) -> Result<(), CommandError
         clock_s: measure::seconds_of_the_clock(),
         command: &command,
         machine: crate::commands::page::machine(),
-        knobs: &summaries,
+        knobs: Vec::new(),
     };
-    if let Some(out) = &out {
-        out.write(&report, &look, args, &turned, &summaries)?;
+    let mut turned = Vec::new();
+    for &knob in knobs {
+        let found = studio.turn(knob)?;
+        let summary = Summary::of(&found, args.clock, truth_spp);
+        if !args.json {
+            print_text(&lines::text(&summary, args.clock))?;
+        }
+        turned.push(found);
+        report.knobs.push(summary);
+        // What is done is kept, whatever happens to the next.
+        if let Some(out) = &out {
+            out.write(&report, &look, args, &turned)?;
+        }
     }
     if args.json {
         return print_json(&report);
@@ -202,8 +204,8 @@ impl Folder {
         look: &Look,
         args: &ErrorTimeArgs,
         turned: &[Turned],
-        summaries: &[Summary],
     ) -> Result<(), CommandError> {
+        let summaries = &report.knobs;
         let seconds =
             summaries.iter().flat_map(|summary| &summary.rows).map(|row| row.seconds(args.clock).min);
         let facts = Facts {
@@ -215,6 +217,7 @@ impl Folder {
             command: report.command.to_owned(),
             clock_s: report.clock_s,
             fastest_s: seconds.fold(f64::INFINITY, f64::min),
+            harness_share: turned.iter().map(|turned| turned.harness_share).fold(0.0, f64::max),
         };
         self.file("index.html", page::page(&facts, turned, summaries)?.html().as_bytes())?;
         for (turned, summary) in turned.iter().zip(summaries) {
@@ -238,7 +241,8 @@ impl Folder {
 
 /// The words that this process was started with, so that a reader can start it again.
 fn command_line() -> String {
-    let words = std::env::args().skip(1).map(|word| {
+    let words = std::env::args_os().skip(1).map(|word| {
+        let word = word.to_string_lossy().into_owned();
         let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=@%+".contains(c);
         if !word.is_empty() && word.chars().all(is_plain) {
             word

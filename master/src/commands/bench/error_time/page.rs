@@ -1,8 +1,8 @@
 //! The page of `tessera bench error-time`: plots, the tables behind them, and what to know about them.
 
 use super::knob::{Knob, Look};
-use super::lines::{COLUMNS, Row, Summary, cells};
-use super::measure::{Outcome, Turned};
+use super::lines::{COLUMNS, EDGE_RATE, Row, Summary, cells};
+use super::measure::{Extreme, Extremes, Turned};
 use super::{Clock, ErrorTimeArgs};
 use crate::commands::CommandError;
 use crate::commands::page::{
@@ -24,6 +24,8 @@ pub struct Facts<'a> {
     pub clock_s: f64,
     /// Seconds of the fastest frame.
     pub fastest_s: f64,
+    /// The largest of [`Turned::harness_share`].
+    pub harness_share: f64,
 }
 
 /// The page of all knobs that were turned.
@@ -31,12 +33,11 @@ pub fn page(facts: &Facts<'_>, turned: &[Turned], summaries: &[Summary]) -> Resu
     let size = facts.args.size;
     let sections = turned.iter().zip(summaries).map(|(turned, summary)| section(turned, summary, facts));
     let mut sections = sections.collect::<Result<Vec<_>, _>>()?;
-    if let (Some(section), Some(turned)) = (sections.first_mut(), turned.first()) {
+    let first = turned.first().and_then(|turned| turned.extremes.best.as_ref());
+    if let (Some(section), Some(first)) = (sections.first_mut(), first) {
         let caption = "what the oracle sees: the truth of the first knob".into();
-        section.pictures.insert(
-            0,
-            Picture { name: "truth".into(), caption, png: png(&turned.truth, codes(&turned.truth))? },
-        );
+        let png = png(&first.truth, codes(&first.truth))?;
+        section.pictures.insert(0, Picture { name: "truth".into(), caption, png });
     }
     Ok(Page {
         title: format!("Error against run time: {}", facts.scene),
@@ -68,7 +69,15 @@ fn caveats(facts: &Facts<'_>) -> Vec<String> {
         "The clock runs from a packed scene in memory to an 8-bit frame in memory: not reading, packing, uploading, compiling and writing. \
          For tiles it also holds the protocol and the worker that answers to it."
             .into(),
-        format!("Taking the time takes {:.2} us, {share:.4} % of the fastest frame.", facts.clock_s * 1e6),
+        format!(
+            "Taking the time takes {:.2} us, {share:.4} % of the fastest frame; between the measured frames the harness took {:.2} % of \
+             their time.",
+            facts.clock_s * 1e6,
+            100.0 * facts.harness_share
+        ),
+        "\"to plain\" is the PSNR of 8-bit pictures to the frame of plain vertices, as the paper's Table 4 compares; its view and light are others."
+            .into(),
+        "All samples are of one seed, all of one view.".into(),
         "Errors are of the linear picture before it is coded in 8 bits; PSNR in sRGB is of values clamped to [0, 1] and coded, unrounded."
             .into(),
         "The truth takes its own samples, not those of the frame; with one sample both take the pixel's centre.".into(),
@@ -80,7 +89,10 @@ fn section(turned: &Turned, summary: &Summary, facts: &Facts<'_>) -> Result<Page
     let clock = facts.args.clock;
     let mut text = vec![summary.what.to_owned()];
     text.extend(summary.rates.iter().map(|(name, rate)| {
-        format!("{name}: the error falls as the samples to the power of {rate} (95 % confidence).")
+        format!(
+            "{name}: the error falls as the samples to the power of {rate} (95 % confidence from the scatter of the points about their line); \
+             theory says {EDGE_RATE} where edges decide."
+        )
     }));
     let headline: Vec<_> = summary
         .time_to_error
@@ -104,7 +116,7 @@ fn section(turned: &Turned, summary: &Summary, facts: &Facts<'_>) -> Result<Page
         text,
         plot: Some(plot(turned.knob, summary, clock)),
         pictures: pictures(turned)?,
-        table: Some(table(turned.knob, summary, clock)),
+        table: Some(table(summary, clock)),
     })
 }
 
@@ -149,41 +161,27 @@ fn point(row: &Row, clock: Clock) -> Point {
     }
 }
 
-fn table(knob: Knob, summary: &Summary, clock: Clock) -> Table {
-    let mut columns: Vec<String> = COLUMNS.map(str::to_owned).into();
-    let mut rows: Vec<Vec<String>> = summary.rows.iter().map(|row| cells(row, clock).into()).collect();
-    if knob == Knob::Packed {
-        columns.push("PSNR to plain".into());
-        for (cells, row) in rows.iter_mut().zip(&summary.rows) {
-            cells.push(match row.to_plain.map(|to_plain| to_plain.psnr_db) {
-                Some(Some(db)) => format!("{db:.2}"),
-                Some(None) => "equal".into(),
-                None => "-".into(),
-            });
-        }
-    }
+fn table(summary: &Summary, clock: Clock) -> Table {
+    let columns: Vec<String> = COLUMNS.map(str::to_owned).into();
     let numeric = (0..columns.len()).map(|column| column >= 2).collect();
-    Table { columns, rows, numeric }
+    Table { columns, rows: summary.rows.iter().map(|row| cells(row, clock).into()).collect(), numeric }
 }
 
 /// Where the worst and the best setting are wrong.
 fn pictures(turned: &Turned) -> Result<Vec<Picture>, CommandError> {
-    let by_error = |a: &&Outcome, b: &&Outcome| a.error.rmse.total_cmp(&b.error.rmse);
-    let worst = turned.outcomes.iter().max_by(by_error);
-    let best = turned
-        .outcomes
-        .iter()
-        .min_by(by_error)
-        .filter(|best| worst.is_some_and(|worst| worst.error != best.error));
-    let of = |(what, outcome): (&str, &Outcome)| {
+    let Extremes { best, worst } = &turned.extremes;
+    let differs = |best: &&Extreme| worst.as_ref().is_some_and(|worst| worst.rmse > best.rmse);
+    let of = |(what, extreme): (&str, &Extreme)| {
         let caption = format!(
-            "where {} {}, the {what} setting, can be seen to be wrong: FLIP, black for nowhere, pale yellow for all",
-            outcome.setting.series, outcome.setting.value
+            "where {}, the {what} setting, can be seen to be wrong: FLIP, black for nowhere, pale yellow for all",
+            extreme.setting
         );
-        let map = error_picture(&turned.truth, &outcome.picture).map_err(CommandError::failed)?;
-        Ok(Picture { name: format!("{} {what}", turned.knob), caption, png: png(&turned.truth, map)? })
+        let map = error_picture(&extreme.truth, &extreme.picture).map_err(CommandError::failed)?;
+        Ok(Picture { name: format!("{} {what}", turned.knob), caption, png: png(&extreme.truth, map)? })
     };
-    worst.map(|worst| ("worst", worst)).into_iter().chain(best.map(|best| ("best", best))).map(of).collect()
+    let worst = worst.as_ref().map(|worst| ("worst", worst));
+    let best = best.as_ref().filter(differs).map(|best| ("best", best));
+    worst.into_iter().chain(best).map(of).collect()
 }
 
 /// A linear picture in 8-bit sRGB codes: red, green and blue.
