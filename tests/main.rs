@@ -12,6 +12,7 @@ mod cli;
 mod cluster;
 mod corpora;
 mod deploy;
+mod error_against;
 mod error_time;
 mod gpu;
 #[cfg(target_os = "linux")]
