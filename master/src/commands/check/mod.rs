@@ -124,11 +124,11 @@ fn choose(ids: &[String]) -> Result<Vec<&'static Case>, CommandError> {
     Ok(all.into_iter().filter(|case| ids.iter().any(|id| id == case.id)).collect())
 }
 
+/// What renders here.
+type Backends = Vec<Box<dyn Renders>>;
+
 /// Everything that is checked, and what is not and why.
-fn open_backends(
-    args: &CheckArgs,
-    progress: &Progress,
-) -> Result<(Vec<Box<dyn Renders>>, Vec<String>), CommandError> {
+fn open_backends(args: &CheckArgs, progress: &Progress) -> Result<(Backends, Vec<String>), CommandError> {
     if let (BackendFlag::Cpu, Some(gpu)) = (args.backend, &args.gpu) {
         let what = format!("--gpu {gpu}: with --backend cpu no GPU is checked; leave one of them out");
         return Err(CommandError::Usage(what));

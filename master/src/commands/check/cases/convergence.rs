@@ -80,7 +80,8 @@ fn places(effort: Effort) -> Outcome {
     });
     let (rings, last, step) = errors[errors.len() - 1];
     // Never better than the mesh, never worse than mesh and packing together: a facet's share of the first error, and a voxel's diagonal.
-    let mesh = errors[0].1 * (f64::from(errors[0].0) / f64::from(rings)).powi(2);
+    let coarser = f64::from(errors[0].0) / f64::from(rings);
+    let mesh = errors[0].1 * coarser * coarser;
     Ok(Finding::all([
         slope,
         Finding::holds(

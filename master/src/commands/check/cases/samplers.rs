@@ -121,7 +121,10 @@ fn next_term(points: &[(f64, f64)]) -> f64 {
 
 fn add_square((sum, count): (f64, usize), (pixel, wanted): (&Layers, &Option<f64>)) -> (f64, usize) {
     match wanted {
-        Some(wanted) => (sum + (f64::from(pixel.color[0]) - wanted).powi(2), count + 1),
+        Some(wanted) => {
+            let off = f64::from(pixel.color[0]) - wanted;
+            (sum + off * off, count + 1)
+        }
         None => (sum, count),
     }
 }

@@ -163,9 +163,11 @@ fn corners(renders: &dyn Renders, effort: Effort) -> Outcome {
     })
 }
 
+type Point = [f32; 3];
+
 /// Found by search, cut down: rays through a shared vertex that lies in split planes; what is nearest by a digit, by the test's own rounding,
 /// is listed beyond a plane that an infinitely thin ray does not reach in time.
-const AROUND_A_VERTEX: [([f32; 3], [f32; 3], [[[f32; 3]; 3]; 4]); 2] = [
+const AROUND_A_VERTEX: [(Point, Point, [[Point; 3]; 4]); 2] = [
     (
         [0.221_316_34, -4.219_932, -5.592_894_6],
         [12.0, 31.0, 4.0],
