@@ -25,7 +25,8 @@ use tessera_whitted::variant::Variant;
         frame of both is rendered in turn, in changing order, behind one of each to warm up: of the time it says the medians and, of the share \
         saved, the median and the quartiles over all pairs; where these lie on both sides of 0, nothing was saved that this run can tell. The \
         clock is CPU seconds of the whole process for the CPU, wall seconds from submission to readback for a GPU, which is measured too where \
-        --backend gpu or --gpu names one, or auto finds a real one. The pictures must be equal bit for bit in all three pixel formats, or the \
+        --backend gpu or --gpu names one, or auto finds a real one. The line of \
+        the environment, where there is one, is a control: with its record or without, what renders is the same. The pictures must be equal bit for bit in all three pixel formats, or the \
         command fails. Bytes are those of the pack and of a device's memory.",
     after_help = "Examples:\n  tessera scene info sponza.toml\n  tessera scene info bunny.ply --json\n  \
         tessera scene info bunny.ply --why --backend gpu"
