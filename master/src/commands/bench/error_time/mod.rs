@@ -78,7 +78,7 @@ pub struct ErrorTimeArgs {
     references: Option<PathBuf>,
     /// Print one JSON object on stdout
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
 }
 
 /// `--clock`.
