@@ -5,6 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use tessera_geometry::mutation::{self, Mutation};
 
+/// Bugs that one of the CPU's two kernels has.
+const ONE_KERNEL: [Mutation; 4] =
+    [Mutation::NoExactEdges, Mutation::WideNoExactEdges, Mutation::RangeExclusive, Mutation::LargestId];
+
 /// How many cases one run is asked for: so that none takes long enough to be taken for hung.
 const GROUP: usize = 6;
 
@@ -95,7 +99,34 @@ fn every_planted_bug_is_noticed() {
             (Some(1), cases.len()),
             "{name} is not noticed by all of {cases:?}: {report:#}"
         );
+        let wrong = |line: &serde_json::Value| line["ok"] == false && is_an_answer(line);
+        for case in &noticed {
+            assert!(is_an_answer(case), "{name} is noticed by no wrong answer: {case:#}");
+        }
+        // A bug that both kernels have is noticed in each: by one case at least, of those that ask them one by one.
+        let asks_each = noticed.iter().any(|case| case["backends"].get(0).is_some());
+        if backend == "cpu" && asks_each && is_in_both(&name) {
+            for (kernel, which) in [("ray by ray", 0usize), ("eight at once", 1)] {
+                let mut lines = noticed.iter().filter_map(|case| case["backends"].get(which));
+                assert!(lines.any(wrong), "{name} is not noticed {kernel}: {report:#}");
+            }
+        }
     }
+}
+
+/// Whether a case or a backend's part of it came to an answer: no panic, and no error before there was anything to judge.
+fn is_an_answer(line: &serde_json::Value) -> bool {
+    let came_to_one = |line: &serde_json::Value| {
+        let got = line["got"].as_str().expect("what came out");
+        !got.starts_with("panic") && !line["expected"].is_null() && line["expected"] != "an answer"
+    };
+    let lines = line["backends"].as_array().into_iter().flatten();
+    came_to_one(line) && lines.filter(|line| line["ok"] == false).all(came_to_one)
+}
+
+fn is_in_both(name: &str) -> bool {
+    let mutation = Mutation::ALL.iter().find(|mutation| mutation.name() == name).expect("a bug");
+    !ONE_KERNEL.contains(mutation)
 }
 
 #[test]

@@ -67,10 +67,11 @@ impl fmt::Display for ImageHash {
 
 /// Makes an [`ImageHash`] of rows as they come.
 #[derive(Clone, Debug)]
-pub(crate) struct ImageHasher(blake3::Hasher);
+pub struct ImageHasher(blake3::Hasher);
 
 impl ImageHasher {
-    pub(crate) fn new(width: u32, height: u32, format: PixelFormat) -> Self {
+    /// For an image of this size in pixels.
+    pub fn new(width: u32, height: u32, format: PixelFormat) -> Self {
         let mut hasher = blake3::Hasher::new();
         hasher.update(format.name().as_bytes());
         hasher.update(&width.to_le_bytes());
@@ -78,12 +79,13 @@ impl ImageHasher {
         Self(hasher)
     }
 
-    /// The next bytes of the rows, from the top.
-    pub(crate) fn update(&mut self, bytes: &[u8]) {
+    /// The next bytes of the rows, from the top, in the wire format and without padding.
+    pub fn update(&mut self, bytes: &[u8]) {
         self.0.update(bytes);
     }
 
-    pub(crate) fn finish(&self) -> ImageHash {
+    /// The hash of all rows.
+    pub fn finish(&self) -> ImageHash {
         ImageHash(*self.0.finalize().as_bytes())
     }
 }

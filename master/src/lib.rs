@@ -37,7 +37,7 @@ pub use dispatch::Balance;
 pub use frame::{
     ClassDifference, ClassPart, FrameJob, FrameResult, Progress, Timings, Traffic, WorkerReport,
 };
-pub use image::{FrameBuffer, ImageHash, PixelFormat};
+pub use image::{FrameBuffer, ImageHash, ImageHasher, PixelFormat};
 pub use net::UdpBuffers;
 pub use output::{OutputError, OutputFile};
 pub use png::PngStream;

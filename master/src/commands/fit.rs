@@ -26,9 +26,11 @@ impl Fit {
         (slope.is_finite() && confidence.is_finite()).then_some(Self { slope, confidence })
     }
 
-    /// Whether the interval holds `theory`, widened by what the theory itself leaves out.
-    pub fn agrees(&self, theory: f64, allowance: f64) -> bool {
-        (self.slope - theory).abs() <= self.confidence + allowance
+    /// Whether the interval, widened by the `allowance` for what a theory itself leaves out, holds the order `theory`, and is too narrow
+    /// to hold another one: orders lie `apart` from each other.
+    pub fn tells(&self, theory: f64, allowance: f64, apart: f64) -> bool {
+        let half = self.confidence + allowance;
+        (self.slope - theory).abs() <= half && half < apart / 2.0
     }
 }
 
@@ -64,7 +66,8 @@ mod tests {
         };
         let (exact, noisy) = (law(0.0), law(0.1));
         assert!((exact.slope + 1.5).abs() < 1e-12 && exact.confidence < 1e-12, "{exact}");
-        assert!(noisy.confidence > 0.01 && noisy.agrees(-1.5, 0.0) && !noisy.agrees(-2.0, 0.0), "{noisy}");
+        assert!(noisy.confidence > 0.01 && noisy.tells(-1.5, 0.0, 0.5), "{noisy}");
+        assert!(!noisy.tells(-2.0, 0.0, 0.5) && !noisy.tells(-1.5, 0.25, 0.5), "{noisy}: too wide to tell");
         assert!(Fit::of(&[(1.0, 1.0), (2.0, 1.0)]).is_none());
     }
 

@@ -231,6 +231,9 @@ pub struct InfoMs {
 pub fn run(args: InfoArgs, progress: &Progress) -> Result<(), CommandError> {
     args.why.check(&args.scene.scene)?;
     let prepared = run::prepare_scene(&args.scene.scene, &args.scene.packing, progress)?;
+    if args.why.why {
+        super::warn_of_bugs(progress);
+    }
     let why =
         if args.why.why { Some(why::measure(&args.scene, &args.why, &prepared, progress)?) } else { None };
     let options = args.scene.packing.options();

@@ -229,6 +229,13 @@ fn cache_folder(what: &str) -> Option<PathBuf> {
     absolute("XDG_CACHE_HOME").or_else(home).map(|folder| folder.join("tessera").join(what))
 }
 
+/// Says on the terminal, before anything is measured, that this build is no release, where it is one for tests.
+fn warn_of_bugs(progress: &progress::Progress) {
+    if tessera_geometry::mutation::ARE_THERE {
+        progress.line(page::BUGS_FOR_TESTS);
+    }
+}
+
 /// Prints one JSON object to stdout.
 fn print_json(value: &impl serde::Serialize) -> Result<(), CommandError> {
     let text = serde_json::to_string_pretty(value).map_err(CommandError::failed)?;

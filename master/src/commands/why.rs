@@ -5,6 +5,7 @@ use super::backend::BackendArgs;
 use super::bench::clock::Watch;
 use super::bench::gpu::whole_frame;
 use super::bench::measure::median;
+use super::page::BUGS_FOR_TESTS;
 use super::progress::Progress;
 use super::{CommandError, SceneArgs, bench, run};
 use clap::Args;
@@ -12,6 +13,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
+use tessera_geometry::mutation;
 use tessera_master::prepare::{PrepareOptions, Prepared, prepare_scene};
 use tessera_master::report::bytes;
 use tessera_master::{FrameBuffer, PixelFormat};
@@ -508,6 +510,9 @@ impl Why {
             t,
             "\nLeft out, and what that saves: a frame of {width} x {height}, {reps} pairs without and with each part in turn"
         )?;
+        if mutation::ARE_THERE {
+            writeln!(t, "  build      {BUGS_FOR_TESTS}")?;
+        }
         writeln!(t, "  CPU        {kernel}, {cpu_clock}")?;
         if let Some(gpu) = gpu {
             writeln!(t, "  GPU        {gpu}, {gpu_clock}")?;

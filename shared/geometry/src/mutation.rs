@@ -1,8 +1,8 @@
 //! Bugs to be planted on purpose, one at a time: what `tessera check` must notice.
 //!
-//! Only a build with the feature `mutations` has them, which the root package switches on for its tests and for nothing else. Without it
-//! [`is_on`] is the constant `false`, and nothing of a mutation is left in the program. `tests/MUTATIONS.md` lists them with the cases
-//! that notice.
+//! Only a build with the feature `mutations` has them. The root package's dev-dependencies switch it on: so its tests have it, and the program
+//! that Cargo builds along with them, whose times are not those of a release. `cargo build` and `cargo install` switch it off. Without it [`is_on`] is
+//! the constant `false`, and nothing of a mutation is left in the program. `tests/MUTATIONS.md` lists them with the cases that notice.
 
 #[cfg(feature = "mutations")]
 use std::sync::atomic::{AtomicU8, Ordering};

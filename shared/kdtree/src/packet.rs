@@ -14,6 +14,7 @@ use crate::node::{MAX_DEPTH, Node};
 use crate::traverse::{MARGIN, THICKNESS, TreeView, Triangles};
 use arrayvec::ArrayVec;
 use fearless_simd::{Simd, f32x8, mask32x8, prelude::*, u32x8};
+use tessera_geometry::mutation::{Mutation, is_on, unless};
 use tessera_geometry::wide::{LANES, WideCrossing, WideRays, WideShear, lanes_in, lanes_of};
 use tessera_geometry::{Aabb, Hit, Ray, Vec3};
 
@@ -179,6 +180,13 @@ fn trace<S: Simd, const ANY: bool>(
     lanes: u8,
     accept: &mut impl Accept,
 ) -> Best<S> {
+    let endless;
+    let rays = if ANY && is_on(Mutation::AnyIgnoresEnd) {
+        endless = rays.map(|ray| Ray { t_max: f32::INFINITY, ..ray });
+        &endless
+    } else {
+        rays
+    };
     let rays = WideRays::new(simd, rays);
     let line = WideLine::new(simd, &rays, &tree.bounds);
     let mut best = Best::new(simd, &rays);
@@ -237,7 +245,7 @@ impl<S: Simd> WideLine<S> {
         let inverse = [inverse_of(d[0], least), inverse_of(d[1], least), inverse_of(d[2], least), zero];
         let radius =
             reach(o[0], min[0], max[0]).max(reach(o[1], min[1], max[1])).max(reach(o[2], min[2], max[2]))
-                * THICKNESS;
+                * unless(Mutation::ThinRay, THICKNESS, 0.0);
 
         // Clip the rays, as thick as they count, to the scene, as `Aabb::clip` does.
         let (mut t0, mut t1) = (rays.t_min, rays.t_max);
@@ -332,7 +340,7 @@ impl<S: Simd> Best<S> {
     /// The lanes whose best hit lies before `t0` by more than rounding.
     #[inline(always)]
     fn nearer_than(&self, t0: f32x8<S>) -> u8 {
-        lanes_of(self.t.simd_lt(t0 * (1.0 - MARGIN)))
+        lanes_of(self.t.simd_lt(t0 * (1.0 - unless(Mutation::StopEarly, MARGIN, -1000.0 * MARGIN))))
     }
 
     #[inline(always)]
@@ -410,7 +418,7 @@ impl<S: Simd, T: Triangles> Packet<'_, S, T> {
                 if node.refs() > 0 {
                     let [first, second] = self.tree.slots[at as usize + 1];
                     let mut found = self.test::<ANY>(first, lanes, best, accept);
-                    if node.refs() > 1 {
+                    if node.refs() > 1 && !is_on(Mutation::ReferenceSkipped) {
                         found |= self.test::<ANY>(second, lanes, best, accept);
                     }
                     if found != 0 {
@@ -426,8 +434,15 @@ impl<S: Simd, T: Triangles> Packet<'_, S, T> {
                     if self.parallel >> axis & 1 == 1 {
                         // The rays are parallel to the plane: each on one side of it, or as thick as it is in it.
                         let radius = self.line.radius;
-                        let to_left = lanes & lanes_of(offset.simd_ge(-radius));
-                        let to_right = lanes & lanes_of(offset.simd_le(radius));
+                        let (to_left, to_right) = if is_on(Mutation::OneSideOfPlane) {
+                            let left = lanes_of(offset.simd_gt(0.0));
+                            (lanes & left, lanes & !left)
+                        } else {
+                            (
+                                lanes & lanes_of(offset.simd_ge(-radius)),
+                                lanes & lanes_of(offset.simd_le(radius)),
+                            )
+                        };
                         if to_left == 0 {
                             (at, lanes) = (right, to_right);
                         } else {
@@ -440,8 +455,12 @@ impl<S: Simd, T: Triangles> Packet<'_, S, T> {
                     }
 
                     // Find where the rays come to the plane and leave it.
-                    let (first, second) =
-                        if self.backward >> axis & 1 == 1 { (right, left) } else { (left, right) };
+                    let runs_down = self.backward >> axis & 1 == 1;
+                    let (first, second) = if runs_down != is_on(Mutation::SwappedChildren) {
+                        (right, left)
+                    } else {
+                        (left, right)
+                    };
                     let to_plane = offset * self.line.inverse[axis];
                     let slack = self.line.slack[axis];
                     let (enter, leave) = (to_plane - slack, to_plane + slack);

@@ -41,7 +41,7 @@ pub struct BuildArgs {
     threads: Vec<u32>,
     /// Print one JSON object a line: for each tree and number of threads
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
 }
 
 /// One tree of a pack that comes in on standard input; started by `bench build` itself.

@@ -55,7 +55,7 @@ pub struct GpuArgs {
     depth: u32,
     /// Print one JSON object a line: for each backend, form, precision, kernel and packing
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
 }
 
 /// What of a frame is rendered.

@@ -16,12 +16,14 @@ mod peer;
 mod ray_set;
 mod rays;
 
+use super::page::BUGS_FOR_TESTS;
 use super::progress::Progress;
 use super::{CommandError, print_text};
 use clap::Subcommand;
 use mesh::{Mesh, MeshSource};
 use serde::Serialize;
 use std::path::Path;
+use tessera_geometry::mutation;
 use tessera_scene::LoadOptions;
 
 /// What to measure.
@@ -43,6 +45,15 @@ pub enum BenchCommand {
 }
 
 pub fn run(command: BenchCommand, progress: &Progress) -> Result<(), CommandError> {
+    let prints_text = match &command {
+        BenchCommand::Rays(args) => !args.json,
+        BenchCommand::Build(args) => !args.json,
+        BenchCommand::Pack(args) => !args.json,
+        BenchCommand::ErrorTime(args) => !args.json,
+        BenchCommand::Gpu(args) => !args.json,
+        BenchCommand::BuildOne(_) => false,
+    };
+    super::warn_of_bugs(progress);
     match command {
         BenchCommand::Rays(args) => rays::run(args, progress),
         BenchCommand::Build(args) => build::run(args, progress),
@@ -50,7 +61,12 @@ pub fn run(command: BenchCommand, progress: &Progress) -> Result<(), CommandErro
         BenchCommand::ErrorTime(args) => error_time::run(&args, progress),
         BenchCommand::Gpu(args) => gpu::run(&args, progress),
         BenchCommand::BuildOne(args) => build::run_one(&args),
+    }?;
+    // What is kept of the text says so too.
+    if mutation::ARE_THERE && prints_text {
+        print_text(&format!("build      {BUGS_FOR_TESTS}\n"))?;
     }
+    Ok(())
 }
 
 fn load(source: &MeshSource, progress: &Progress) -> Result<Mesh, CommandError> {

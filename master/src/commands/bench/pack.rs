@@ -35,7 +35,7 @@ pub struct PackArgs {
     packing: PackingArgs,
     /// Print one JSON object
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
 }
 
 /// Lengths in bytes.

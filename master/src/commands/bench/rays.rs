@@ -54,7 +54,7 @@ pub struct RaysArgs {
     reps: u32,
     /// Print one JSON object a line: for each peer, view, kind of rays and number of threads
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
 }
 
 /// What `--plain` asks for.

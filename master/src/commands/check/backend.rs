@@ -10,7 +10,7 @@ use tessera_pack::{Pack, PackId};
 use tessera_whitted::stage::{Layers, View, decode};
 use tessera_wire::{Features, Frame, FrameId, Sampling};
 use tessera_worker::gpu::GpuOptions;
-use tessera_worker::gpu::probe::{GpuProbe, ProbedScene, cpu_frame};
+use tessera_worker::gpu::probe::{GpuProbe, ProbedScene, cpu_frame_by_tiles};
 use tessera_worker::{Kernel, NUMERIC_CLASS};
 
 /// How arithmetic rounds, beside that of the CPU.
@@ -51,7 +51,7 @@ pub trait Renders {
     /// Whether each ray hits anything before its end.
     fn any_hits(&self, pack: &Pack, rays: &[Ray]) -> Result<Vec<bool>, String>;
 
-    /// A frame in its wire format.
+    /// A frame in its wire format, tile by tile.
     fn frame(&self, pack: &Pack, frame: &Frame) -> Result<Vec<u8>, String>;
 }
 
@@ -71,7 +71,7 @@ impl dyn Renders + '_ {
         self.frame(pack, &frame_of(pack, view, format, 0)?)
     }
 
-    /// Whether each ray is as `judge` would have it: for people, with the number of those that are not.
+    /// The nearest hit of each ray; an error where there is not one answer a ray.
     pub fn hits_of(&self, pack: &Pack, rays: &[Ray]) -> Result<Vec<Option<Hit>>, String> {
         let hits = self.hits(pack, rays)?;
         if hits.len() == rays.len() {
@@ -154,7 +154,7 @@ impl Renders for Cpu {
     }
 
     fn frame(&self, pack: &Pack, frame: &Frame) -> Result<Vec<u8>, String> {
-        Ok(cpu_frame(pack, self.0, frame).0)
+        cpu_frame_by_tiles(pack, self.0, frame).map(|(pixels, _)| pixels).map_err(|e| e.to_string())
     }
 }
 

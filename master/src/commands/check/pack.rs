@@ -4,7 +4,7 @@ use super::backend::{Renders, Rounding, packet};
 use super::case::Finding;
 use rayon::prelude::*;
 use tessera_geometry::wide::{ALL_LANES, LANES};
-use tessera_geometry::{Hit, Ray};
+use tessera_geometry::{Hit, Ray, triangle, wgsl};
 use tessera_kdtree::soup::{Random, Soup, split_planes, truth, unkind_ray};
 use tessera_kdtree::{Triangles, brute_force_closest_hits};
 use tessera_pack::{Pack, PackInput, PackOptions, PackStats, Plain, build_pack};
@@ -67,10 +67,17 @@ pub fn unkind(pack: &Pack, count: usize, seed: u64) -> Vec<Ray> {
 /// Two roundoffs: what a fused operation may add to a distance that is rounded once (`TBound::DOUBLE` of the tests of GPUs).
 const DOUBLE_DISTANCE: f64 = 2.0 / 16_777_216.0;
 
-/// Without `f64`, a GPU's projections are off by this share of the largest coordinate (`LATERAL_ERROR` of triangle.wgsl) and its distances
-/// by 64 roundoffs: a distance from three weighed depths, each with a shear, two products, a sum and a division of 5 roundoffs.
-const SINGLE_LATERAL: f64 = 8.940_704_7e-7;
+/// Without `f64`, a GPU's distances are off by 64 roundoffs: a distance from three weighed depths, each with a shear, two products, a sum and a
+/// division of 5 roundoffs.
 const SINGLE_DISTANCE: f64 = 64.0 / 16_777_216.0;
+
+/// The share of the largest coordinate by which projections are off.
+pub fn lateral_error(rounding: Rounding) -> f64 {
+    f64::from(match rounding {
+        Rounding::Exact | Rounding::Double => triangle::LATERAL_ERROR,
+        Rounding::Single => wgsl::LATERAL_ERROR,
+    })
+}
 
 /// Holds the hits of `rays` to a test of every triangle: in triangle, distance and weights bit for bit. A GPU may take the other of two
 /// triangles at one distance, and miss or meet one at the end of a ray's range, as far as its rounding goes; without `f64` also where a ray grazes an edge.
@@ -101,7 +108,7 @@ fn is_excused(rounding: Rounding, soup: &Soup, ray: &Ray, hit: &Option<Hit>, jud
     };
     let grazes = |hit: &Hit| {
         rounding == Rounding::Single
-            && truth::judge(ray, soup.vertices(hit.triangle)).to_edges <= 2.0 * SINGLE_LATERAL
+            && truth::judge(ray, soup.vertices(hit.triangle)).to_edges <= 2.0 * lateral_error(rounding)
     };
     let are_one = |a: f32, b: f32| (f64::from(a) - f64::from(b)).abs() <= 2.0 * share * f64::from(a.max(b));
     let at_an_end = |hit: &Hit| are_one(hit.t, ray.t_min) || are_one(hit.t, ray.t_max);

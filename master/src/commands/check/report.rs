@@ -160,7 +160,7 @@ impl CaseLine {
                 backends.iter().map(|backend| one(&**backend)).unzip()
             }
         };
-        // One text where all say the same, else the first that fails, else all.
+        // One text where backends beside each other say the same, else each of them.
         let said = |of: fn(&Outcome) -> String| {
             let mut texts: Vec<_> = outcomes.iter().map(of).collect();
             texts.dedup();

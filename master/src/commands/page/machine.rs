@@ -2,13 +2,19 @@
 
 use crate::commands::cores;
 use std::env::consts::{ARCH, OS};
+use tessera_geometry::mutation;
 use tessera_master::report::bytes;
+
+/// What a report of times says of a build in which bugs can be planted: each look whether one is on takes time.
+pub const BUGS_FOR_TESTS: &str = "this build has planted bugs for tests: times are not those of a release";
 
 /// Name and value of what a reader must know of this machine and this build: version, build, processor, cores, memory, system.
 pub fn machine() -> Vec<(String, String)> {
     let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
     let unknown = || "unknown".to_owned();
-    let build = if cfg!(debug_assertions) {
+    let build = if mutation::ARE_THERE {
+        BUGS_FOR_TESTS
+    } else if cfg!(debug_assertions) {
         "debug assertions and overflow checks on: times are longer than a release build's"
     } else {
         "release"

@@ -12,7 +12,7 @@ mod raster;
 mod svg;
 
 pub use csv::write_csv;
-pub use machine::machine;
+pub use machine::{BUGS_FOR_TESTS, machine};
 pub use plot::{Axis, Line, Plot, Point, Scale, Series, Theme};
 
 use std::fmt::Write;

@@ -181,35 +181,36 @@ pub(super) fn text(key: &KernelKey) -> String {
     mutated(text)
 }
 
-/// `text` with the bug that is planted in it, if any ([`tessera_geometry::mutation`]).
-fn mutated(mut text: String) -> String {
-    for (mutation, right, wrong) in [
-        (
-            Mutation::GpuEdgesExclusive,
-            "all(sides >= vec3<f32>(0.0)) || all(sides <= vec3<f32>(0.0))",
-            "all(sides > vec3<f32>(0.0)) || all(sides < vec3<f32>(0.0))",
-        ),
-        (
-            Mutation::GpuSwappedChildren,
-            "let near = select(left, right, goes_down);",
-            "let near = select(right, left, goes_down);",
-        ),
-        (
-            Mutation::GpuNoClearance,
-            "fn clearance(surface: Surface) -> f32 {",
-            "fn clearance(surface: Surface) -> f32 { if true { return 0.0; }",
-        ),
-        (
-            Mutation::GpuIorInverted,
-            "let eta = select(paint.ior, quotient(1.0, paint.ior), entering);",
-            "let eta = select(quotient(1.0, paint.ior), paint.ior, entering);",
-        ),
-    ] {
-        if is_on(mutation) {
-            text = text.replace(right, wrong);
-        }
+/// The bugs that can be planted in a text ([`tessera_geometry::mutation`]): what each replaces, and by what.
+pub(super) const BUGS: [(Mutation, &str, &str); 4] = [
+    (
+        Mutation::GpuEdgesExclusive,
+        "all(sides >= vec3<f32>(0.0)) || all(sides <= vec3<f32>(0.0))",
+        "all(sides > vec3<f32>(0.0)) || all(sides < vec3<f32>(0.0))",
+    ),
+    (
+        Mutation::GpuSwappedChildren,
+        "let near = select(left, right, goes_down);",
+        "let near = select(right, left, goes_down);",
+    ),
+    (
+        Mutation::GpuNoClearance,
+        "fn clearance(surface: Surface) -> f32 {",
+        "fn clearance(surface: Surface) -> f32 { if true { return 0.0; }",
+    ),
+    (
+        Mutation::GpuIorInverted,
+        "let eta = select(paint.ior, quotient(1.0, paint.ior), entering);",
+        "let eta = select(quotient(1.0, paint.ior), paint.ior, entering);",
+    ),
+];
+
+/// `text` with the bug that is planted in it, if any.
+fn mutated(text: String) -> String {
+    match BUGS.into_iter().find(|&(mutation, ..)| is_on(mutation)) {
+        Some((_, right, wrong)) => text.replace(right, wrong),
+        None => text,
     }
-    text
 }
 
 /// An accessor `name(i)` over `count` bindings from `first` on, of 2^`log2` elements each.

@@ -5,7 +5,9 @@ mod constants;
 mod eval;
 mod places;
 
-use super::kernel::{Chunks, KernelKey, Purpose, SLOT_BINDING, Stage, TraversalForm, binding_types, text};
+use super::kernel::{
+    BUGS, Chunks, KernelKey, Purpose, SLOT_BINDING, Stage, TraversalForm, binding_types, text,
+};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Module, Scalar, ScalarKind, StorageAccess, TypeInner, VectorSize};
 use std::collections::BTreeMap;
@@ -91,6 +93,29 @@ fn keys() -> Vec<KernelKey> {
 fn parse(key: &KernelKey) -> Module {
     let text = text(key);
     naga::front::wgsl::parse_str(&text).unwrap_or_else(|e| panic!("{key:?}: {}", e.emit_to_string(&text)))
+}
+
+/// A bug whose place is gone, or is not one, would be planted nowhere, or twice; and one that is no WGSL is no wrong answer.
+#[test]
+fn every_bug_for_tests_has_one_place_in_every_kernel_and_leaves_it_valid() {
+    for key in keys() {
+        let text = text(&key);
+        for (mutation, right, _) in BUGS {
+            assert_eq!(text.matches(right).count(), 1, "{}: {right}: {key:?}", mutation.name());
+        }
+    }
+    for (f64, purpose) in [(false, Purpose::Render), (true, Purpose::Render), (true, Purpose::Probe)] {
+        let text = text(&KernelKey { f64, purpose, ..whole() });
+        for (mutation, right, wrong) in BUGS {
+            let text = text.replace(right, wrong);
+            let name = mutation.name();
+            let module = naga::front::wgsl::parse_str(&text);
+            let module = module.unwrap_or_else(|e| panic!("{name}: {}", e.emit_to_string(&text)));
+            let capabilities = if f64 { Capabilities::FLOAT64 } else { Capabilities::empty() };
+            let checked = Validator::new(ValidationFlags::all(), capabilities).validate(&module);
+            assert!(checked.is_ok(), "{name}: {checked:?}");
+        }
+    }
 }
 
 #[test]

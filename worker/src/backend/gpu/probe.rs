@@ -15,6 +15,7 @@ use tessera_kdtree::Kernel;
 use tessera_pack::Pack;
 use tessera_whitted::device::{FrameInfo, state_quads};
 use tessera_whitted::{FrameParams, Needs, Renderer};
+use tessera_wire::{FrameError, Rect, TileGrid, TileId};
 use wgpu::{BindGroup, Buffer, BufferUsages, MapMode};
 
 /// An opened GPU that answers for single rays.
@@ -167,8 +168,8 @@ impl ProbedScene {
         let corners = (0..height.div_ceil(side)).flat_map(|y| (0..width.div_ceil(side)).map(move |x| (x, y)));
         for ((x, y), number) in corners.zip(0..) {
             let (x, y) = (x * side, y * side);
-            let rect = tessera_wire::Rect { x, y, width: side.min(width - x), height: side.min(height - y) };
-            let (tile, attempt) = (tessera_wire::TileId(number), tessera_wire::Attempt(0));
+            let rect = Rect { x, y, width: side.min(width - x), height: side.min(height - y) };
+            let (tile, attempt) = (TileId(number), tessera_wire::Attempt(0));
             tiles.push(crate::session::RenderTask { frame: *frame, tile, attempt, rect });
         }
         let mut rays = tessera_wire::Rays::default();
@@ -176,14 +177,7 @@ impl ProbedScene {
         while !tiles.is_idle() {
             for done in tiles.turn()? {
                 rays += done.rays;
-                let tessera_wire::Rect { x, y, width: columns, height: rows } = done.task.rect;
-                let row_bytes = done.pixels.len() / rows as usize;
-                let pixel_bytes = row_bytes / columns as usize;
-                pixels.resize((width * height) as usize * pixel_bytes, 0);
-                for (row, from) in (y..).zip(done.pixels.chunks_exact(row_bytes)) {
-                    let at = (row * width + x) as usize * pixel_bytes;
-                    pixels[at..][..row_bytes].copy_from_slice(from);
-                }
+                put(&mut pixels, (width, height), done.task.rect, &done.pixels);
             }
         }
         Ok((pixels, rays))
@@ -282,10 +276,51 @@ pub fn cpu_frame_with(
     forced: Needs,
     frame: &tessera_wire::Frame,
 ) -> (Vec<u8>, tessera_wire::Rays) {
-    let rect = tessera_wire::Rect { x: 0, y: 0, width: frame.width, height: frame.height };
+    let rect = Rect { x: 0, y: 0, width: frame.width, height: frame.height };
     // It is never stopped.
     let renderer = Renderer::with_forced(pack, kernel, forced);
     cpu::render(&renderer, frame, rect, &AtomicBool::new(false)).unwrap_or_default()
+}
+
+/// The pixels of `rect`, which lies within the frame: what a worker makes of it as one tile.
+pub fn cpu_rect(
+    pack: &Pack,
+    kernel: Kernel,
+    frame: &tessera_wire::Frame,
+    rect: Rect,
+) -> (Vec<u8>, tessera_wire::Rays) {
+    let renderer = Renderer::with_kernel(pack, kernel);
+    cpu::render(&renderer, frame, rect, &AtomicBool::new(false)).unwrap_or_default()
+}
+
+/// [`cpu_frame`] tile by tile, over the grid that the frame asks for.
+///
+/// # Errors
+/// The frame has no such grid.
+pub fn cpu_frame_by_tiles(
+    pack: &Pack,
+    kernel: Kernel,
+    frame: &tessera_wire::Frame,
+) -> Result<(Vec<u8>, tessera_wire::Rays), FrameError> {
+    let grid = TileGrid::new(frame.width, frame.height, frame.tile)?;
+    let (mut image, mut rays) = (Vec::new(), tessera_wire::Rays::default());
+    for rect in (0..grid.tiles()).filter_map(|tile| grid.rect(TileId(tile))) {
+        let (pixels, traced) = cpu_rect(pack, kernel, frame, rect);
+        put(&mut image, grid.size(), rect, &pixels);
+        rays += traced;
+    }
+    Ok((image, rays))
+}
+
+/// Copies a tile to its place in an image of this size, for which it makes room.
+fn put(image: &mut Vec<u8>, (width, height): (u32, u32), rect: Rect, pixels: &[u8]) {
+    let row_bytes = pixels.len() / rect.height as usize;
+    let pixel_bytes = row_bytes / rect.width as usize;
+    image.resize(width as usize * height as usize * pixel_bytes, 0);
+    for (row, from) in (rect.y as usize..).zip(pixels.chunks_exact(row_bytes)) {
+        let at = (row * width as usize + rect.x as usize) * pixel_bytes;
+        image[at..][..row_bytes].copy_from_slice(from);
+    }
 }
 
 /// An end of a ray as kernels take it: 'without end' is the largest number; before what is no number, nothing is hit.

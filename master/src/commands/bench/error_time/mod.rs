@@ -80,7 +80,7 @@ pub struct ErrorTimeArgs {
     references: Option<PathBuf>,
     /// Print one JSON object on stdout
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
 }
 
 /// `--clock`.

@@ -3,7 +3,7 @@
 use crate::commands::check::backend::Renders;
 use crate::commands::check::case::{Case, Effort, Finding, Outcome, Run};
 use crate::commands::check::pack::{
-    against_brute_force, dropped, pack_of, packed, packs, quantized, soup_of, unkind,
+    against_brute_force, dropped, lateral_error, pack_of, packed, packs, quantized, soup_of, unkind,
 };
 use tessera_geometry::{Hit, Ray, Vec3};
 use tessera_kdtree::Triangles;
@@ -174,11 +174,12 @@ fn slivers(renders: &dyn Renders, effort: Effort) -> Outcome {
         .flatten()
         .filter(|h| ![1.0 - h.b1 - h.b2, h.b1, h.b2].iter().all(|b| (0.0..=1.0).contains(b)));
     let bad_weights = weights.count();
-    // In f64: what is hit is crossed, or its edge is passed within the lateral error of the test, which is larger on a GPU without f64.
+    // In f64: what is hit is crossed, or its edge is passed within the lateral error of the test.
+    let lateral = lateral_error(renders.rounding());
     let is_wrong = |(ray, hit): (&Ray, &Option<Hit>)| {
         hit.is_some_and(|hit| {
             let verdict = truth::judge(ray, own.vertices(hit.triangle));
-            verdict.t.is_none() && verdict.to_edges > LATERAL
+            verdict.t.is_none() && verdict.to_edges > lateral
         })
     };
     let wrong = rays.iter().zip(&hits).filter(|&pair| is_wrong(pair)).count();
@@ -189,9 +190,6 @@ fn slivers(renders: &dyn Renders, effort: Effort) -> Outcome {
         Finding::at_least("hits", hits.iter().flatten().count(), 100),
     ]))
 }
-
-/// The larger of the lateral errors of triangle.rs (gamma(9)) and triangle.wgsl (gamma(15)).
-const LATERAL: f64 = 8.940_704_7e-7;
 
 fn sliver(random: &mut Random, length: f32, spread: f32, width: f32) -> [Vec3; 3] {
     let from = voxel(random.point(Vec3::splat(-length), Vec3::splat(length)));

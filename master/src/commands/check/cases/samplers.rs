@@ -51,26 +51,60 @@ struct Law {
     sampler: Sampler,
     /// Numbers of samples for which its strata are whole: squares, and powers of two.
     samples: &'static [u32],
-    /// Root mean square errors of an edge, a ramp and a product, up to a factor.
-    errors: [fn(f64) -> f64; 3],
+    /// Mean squared errors of an edge, a ramp and a product, up to a factor.
+    squares: [fn(f64) -> f64; 3],
 }
 
 const LAWS: [Law; Sampler::ALL.len()] = [
     Law {
         sampler: Sampler::Jittered,
         samples: &[16, 25, 36, 49, 64, 100, 144, 196, 256],
-        errors: [|n| libm::pow(n, -0.75), |n| libm::pow(n, -1.5), |n| libm::pow(n, -0.75)],
+        squares: [edge_square, ramp_square, |n| {
+            // Of x y, k = sqrt n (the test of sample.rs derives it).
+            let k = n.sqrt();
+            (1.0 - 1.0 / k) * (1.0 + 1.0 / k).powi(2) * libm::pow(n, -1.5) / 72.0
+                + product_ramps() * ramp_square(n)
+        }],
     },
     Law {
         sampler: Sampler::LowDiscrepancy,
         samples: &[8, 16, 32, 64, 128, 256, 512],
-        errors: [
-            |n| libm::pow(n, -0.75),
-            |n| libm::pow(n, -1.5),
-            |n| libm::pow(n, -1.5) * libm::log2(n).sqrt(),
-        ],
+        // Of x y, m = log2 n: Haar coefficients of levels k and l have squares of 4^-(k + l) / 16. Those with k + l <= m are without an error, with
+        // k + l = m + 1 two samples that share a cell lie in opposite quarters of it and err twice as much as independent ones, and beyond they
+        // are independent (Owen 1997): 4^-m (7 m / 12 + 1 / 9) / 16 n.
+        squares: [edge_square, ramp_square, |n| {
+            let m = libm::log2(n);
+            (7.0 * m / 12.0 + 1.0 / 9.0) / 16.0 * libm::pow(n, -3.0) + product_ramps() * ramp_square(n)
+        }],
     },
 ];
+
+/// What laws leave out of their squares, as a share. An edge crosses c sqrt(n) cells and one more at most, c >= 1 as slanted as it is; the others are
+/// whole sums.
+const LEFT_OUT: [fn(f64) -> f64; 3] = [|n| 1.0 / n.sqrt(), |_| 0.0, |_| 0.0];
+
+/// Orders of errors are whole numbers of quarters.
+const APART: f64 = 0.25;
+
+fn edge_square(n: f64) -> f64 {
+    libm::pow(n, -1.5)
+}
+
+/// Of x: a uniform place in each of n strata.
+fn ramp_square(n: f64) -> f64 {
+    libm::pow(n, -3.0) / 12.0
+}
+
+/// Side of a pixel of [`product`], in texture coordinates, and how far its middle is moved at most.
+const PRODUCT_SIDE: f64 = 0.85 / 2.0;
+const PRODUCT_MOVED: f64 = 0.05;
+
+/// s + t - 2 s t is, about a pixel's middle, two ramps and a product: the mean squares of the ramps' factors, 1 - 2 s and 1 - 2 t over the pixel's side, of
+/// which the middles are half a side from 1/2 and moved evenly, as a share of the product's, 2 over both sides.
+fn product_ramps() -> f64 {
+    let factor = PRODUCT_SIDE.powi(2) + 4.0 * PRODUCT_MOVED.powi(2) / 3.0;
+    2.0 * factor * PRODUCT_SIDE.powi(2) / (2.0 * PRODUCT_SIDE.powi(2)).powi(2)
+}
 
 /// The slopes of the errors of every sampler. `place` makes view number `i` and its exact pixels from random numbers; those without a number do
 /// not count.
@@ -81,7 +115,7 @@ fn slopes(
     place: impl Fn(&mut Random) -> (View, Vec<Option<f64>>) + Sync,
 ) -> Outcome {
     let mut findings = Vec::new();
-    for Law { sampler, samples, errors } in &LAWS {
+    for Law { sampler, samples, squares } in &LAWS {
         let mut points = Vec::new();
         for &samples in *samples {
             let squares: Result<Vec<(f64, usize)>, String> = (0..frames)
@@ -99,24 +133,24 @@ fn slopes(
             let (sum, count) = squares?.into_iter().fold((0.0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
             points.push((f64::from(samples), (sum / count.max(1) as f64).sqrt()));
         }
-        // A law with a logarithm in it is no power: its slope is the one that the same numbers of samples make of it.
-        let law: Vec<_> = points.iter().map(|(n, _)| (*n, errors[which](*n))).collect();
-        let (fit, theory) = (Fit::of(&points).ok_or("no slope")?, Fit::of(&law).ok_or("no slope")?);
+        // Not every law is a power: its slope is the one that the same numbers of samples make of it, and errors are held to it by the slope of their
+        // ratio, which is to be 0. What the law leaves out may turn that as it turns the law.
+        let slope = |of: &dyn Fn(f64, f64) -> f64| {
+            Fit::of(&points.iter().map(|&(n, error)| (n, of(n, error))).collect::<Vec<_>>()).ok_or("no slope")
+        };
+        let law = |n: f64| squares[which](n).sqrt();
+        let theory = slope(&|n, _| law(n))?.slope;
+        let ratio = slope(&|n, error| error / law(n))?;
+        let allowance = slope(&|n, _| (1.0 + LEFT_OUT[which](n)).sqrt())?.slope.abs();
+        let fit = Fit { slope: theory + ratio.slope, ..ratio };
         let (n, error) = points[points.len() - 1];
         findings.push(Finding::holds(
-            format!("{}: slope {:.3} +- {:.3}", sampler.name(), theory.slope, next_term(&points)),
+            format!("{}: slope {theory:.3}, {allowance:.3} allowed beside the confidence", sampler.name()),
             format!("{fit}, error {error:.1e} at {n} samples"),
-            fit.agrees(theory.slope, theory.confidence + next_term(&points)) && fit.confidence < 0.2,
+            fit.tells(theory, allowance, APART),
         ));
     }
     Ok(Finding::all(findings))
-}
-
-/// By how much what the laws leave out may turn a slope. An edge crosses c sqrt(n) cells and a few, so that variances are off by a share of up to
-/// 1 / sqrt(n): the slope of the error at n, half of the variance's, by a quarter of that. At the (geometric) middle of the numbers of samples.
-fn next_term(points: &[(f64, f64)]) -> f64 {
-    let middle = libm::exp(points.iter().map(|(n, _)| libm::log(*n)).sum::<f64>() / points.len() as f64);
-    0.25 / middle.sqrt()
 }
 
 fn add_square((sum, count): (f64, usize), (pixel, wanted): (&Layers, &Option<f64>)) -> (f64, usize) {
@@ -210,8 +244,9 @@ fn product(effort: Effort) -> Outcome {
     stage.quad([-2.0, -2.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0], material);
     const SIDE: u32 = 2;
     slopes(&exact(&stage)?, 2, effort.pick(400, 1600), |random| {
-        let middle = [0.2 * f64::from(random.unit()) - 0.1, 0.2 * f64::from(random.unit()) - 0.1];
-        let (view, at) = above(middle, 0.0, 0.85, SIDE);
+        // A unit of the plane is half a texture coordinate.
+        let middle = [(); 2].map(|()| 2.0 * PRODUCT_MOVED * (2.0 * f64::from(random.unit()) - 1.0));
+        let (view, at) = above(middle, 0.0, 2.0 * PRODUCT_SIDE, SIDE);
         // So is that of a bilinear one, over a square along its axes.
         let means = (0..SIDE * SIDE).map(|i| {
             let [s, t] = at(f64::from(i % SIDE) + 0.5, f64::from(i / SIDE) + 0.5).map(|x| (x + 1.0) / 2.0);

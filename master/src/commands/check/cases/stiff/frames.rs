@@ -1,11 +1,16 @@
 //! Frames rendered whole and by rows.
 
+use std::fs::File;
+use std::io::BufReader;
 use std::path::Path;
 use tessera_geometry::{DVec3, LocalCamera, Vec3};
 use tessera_master::{
-    Balance, Cluster, FrameBuffer, FrameJob, ImageHash, OutputFile, PixelFormat, PngStream,
+    Balance, Cluster, FrameBuffer, FrameJob, ImageHash, ImageHasher, OutputFile, PixelFormat, PngStream,
 };
 use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
+use tessera_wire::{FrameId, PackId, Rect};
+use tessera_worker::Kernel;
+use tessera_worker::gpu::probe::cpu_rect;
 
 /// Width and height, and side of a tile: none, one or both sides divide, and tiles larger than the image.
 pub const SIZES: [([u32; 2], u32); 8] = [
@@ -76,4 +81,34 @@ pub async fn by_rows(cluster: &mut Cluster, job: &FrameJob, path: &Path) -> Resu
     let mut stream = stream.map_err(|e| e.to_string())?;
     cluster.render_rows(job, &mut stream, |_| ()).await.map_err(|e| e.to_string())?;
     stream.finish().await.map_err(|e| e.to_string())
+}
+
+/// The hash of the same frame, rendered by this process in bands of rows, none of which is kept.
+pub fn hash_by_bands(pack: &Pack, job: &FrameJob) -> ImageHash {
+    const ROWS: u32 = 64;
+    let frame = job.to_wire(FrameId(1), PackId(pack.id().0));
+    let mut hasher = ImageHasher::new(job.width, job.height, job.format);
+    for y in (0..job.height).step_by(ROWS as usize) {
+        let band = Rect { x: 0, y, width: job.width, height: ROWS.min(job.height - y) };
+        hasher.update(&cpu_rect(pack, Kernel::auto(), &frame, band).0);
+    }
+    hasher.finish()
+}
+
+/// The hash of what an 8-bit PNG file holds, read row by row.
+///
+/// # Errors
+/// It is no such file.
+pub fn hash_of_png(path: &Path) -> Result<ImageHash, String> {
+    let file = BufReader::new(File::open(path).map_err(|e| e.to_string())?);
+    let mut reader = png::Decoder::new(file).read_info().map_err(|e| e.to_string())?;
+    let info = reader.info();
+    if (info.color_type, info.bit_depth) != (png::ColorType::Rgba, png::BitDepth::Eight) {
+        return Err(format!("a file of {:?}, {:?}", info.color_type, info.bit_depth));
+    }
+    let mut hasher = ImageHasher::new(info.width, info.height, PixelFormat::Rgba8);
+    while let Some(row) = reader.next_row().map_err(|e| e.to_string())? {
+        hasher.update(row.data());
+    }
+    Ok(hasher.finish())
 }

@@ -1,6 +1,5 @@
 //! Scenes whose parts differ by five orders of magnitude: tiles by their cost, triangles by their size.
 
-use std::hint::black_box;
 use std::time::{Duration, Instant};
 use tessera_geometry::wide::{ALL_LANES, LANES};
 use tessera_geometry::{DVec3, Hit, LocalCamera, Ray, Vec3};
@@ -11,7 +10,7 @@ use tessera_pack::{
     Light, LightKind, Material, MaterialFlags, Pack, PackInput, PackOptions, Plain, build_pack,
 };
 use tessera_scene::{Mesh, Node, Primitive, Scene};
-use tessera_whitted::{Features, FrameParams, PixelBlock, Renderer};
+use tessera_whitted::{Features, FrameParams, PixelBlock, RayCounts, Renderer};
 
 /// Tiles along each side of the picture of [`glass_corner`].
 pub const CORNER_TILES: u32 = 16;
@@ -89,22 +88,23 @@ pub fn corner_job(pack: &Pack, tile: u32, cutoff: f32, balance: Balance) -> Fram
     }
 }
 
-/// What the tiles of a picture cost on one thread.
+/// Rays of the tiles of a picture: what they cost, on any machine.
 #[derive(Clone, Copy, Debug)]
 pub struct Costs {
     /// Of the dearest tile, the last.
-    pub dearest: Duration,
-    /// Of another, on average.
-    pub other: Duration,
+    pub dearest: u64,
+    /// Of all others together.
+    pub others: u64,
 }
 
 impl Costs {
+    /// How many times as many rays the dearest tile takes as another does on average.
     pub fn ratio(&self) -> f64 {
-        self.dearest.div_duration_f64(self.other)
+        self.dearest as f64 * f64::from(CORNER_TILES * CORNER_TILES - 1) / self.others as f64
     }
 }
 
-/// Renders the last tile of [`corner_job`] once and the others so often that their sum is long enough for the clock.
+/// Renders every tile of [`corner_job`] once.
 pub fn corner_costs(pack: &Pack, tile: u32, cutoff: f32) -> Costs {
     let job = corner_job(pack, tile, cutoff, Balance::Dynamic);
     let params = FrameParams {
@@ -120,22 +120,15 @@ pub fn corner_costs(pack: &Pack, tile: u32, cutoff: f32) -> Costs {
     };
     let renderer = Renderer::new(pack);
     let mut out = vec![0; (tile * tile * 4) as usize];
-    let mut render = |column: u32, row: u32| {
-        let block = PixelBlock { x: column * tile, y: row * tile, width: tile, height: tile };
-        black_box(renderer.render_block(&params, block, &mut out));
-    };
-    let last = CORNER_TILES - 1;
-    let begun = Instant::now();
-    render(last, last);
-    let dearest = begun.elapsed();
-    let (begun, mut rounds) = (Instant::now(), 0);
-    while rounds < 4 || begun.elapsed() < Duration::from_millis(20) {
-        for row in 0..last {
-            (0..CORNER_TILES).for_each(|column| render(column, row));
-        }
-        rounds += 1;
-    }
-    Costs { dearest, other: begun.elapsed() / (rounds * last * CORNER_TILES) }
+    let mut rays = (0..CORNER_TILES * CORNER_TILES).map(|number| {
+        let (x, y) = (number % CORNER_TILES * tile, number / CORNER_TILES * tile);
+        let block = PixelBlock { x, y, width: tile, height: tile };
+        let RayCounts { primary, shadow, reflection, refraction } =
+            renderer.render_block(&params, block, &mut out);
+        primary + shadow + reflection + refraction
+    });
+    let others = rays.by_ref().take((CORNER_TILES * CORNER_TILES - 1) as usize).sum();
+    Costs { dearest: rays.sum(), others }
 }
 
 /// One huge triangle, and above its middle a field of `2 * side * side` triangles whose legs are two of the finest voxels that the huge one
