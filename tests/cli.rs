@@ -51,6 +51,14 @@ fn wrong_usage_is_exit_code_2_and_one_line() {
     for bad in ["-0.5", "1.5", "nan", "1/512"] {
         check(&render(&["--cutoff", bad]), &["--cutoff", "a weight of 0 to 1"]);
     }
+    // Before the scene, which does not exist, is looked for.
+    for faint in ["0", "0.00001"] {
+        let boundless = ["render", "none.ply", "--out", "a.png", "--cutoff", faint];
+        let says = ["cut-off 0", "with depth 8", "a cut-off of at least 1/65536", "a depth of at most 3"];
+        check(&boundless, &says);
+        check(&[&boundless[..], &["--depth", "4"]].concat(), &["with depth 4"]);
+        check(&[&boundless[..], &["--depth", "3"]].concat(), &["none.ply"]);
+    }
     for bad in ["0", "-1", "2", "nan", "fine"] {
         check(&render(&["--adaptive", bad]), &["--adaptive", "more than 0 and at most 1"]);
     }

@@ -39,7 +39,10 @@ const EXPLAINED_MAX: f64 = 0.06;
 const STRAYS_MAX: f64 = 0.005;
 const STRAY: f64 = 0.05;
 
-fn check(scene: &Scene, without: Without) {
+/// `coplanar`: how many pixels may show another triangle for a reason that turned rays don't tell, because two triangles lie in one
+/// plane: `f32` calls distances equal that differ for the oracle, or the other way round, and the smallest id comes first among equals.
+/// Such a pixel is as deep, and of the same colour.
+fn check(scene: &Scene, without: Without, coplanar: usize) {
     let pose = scene.cameras[0].pose;
     let kernel = by_kernel(scene, &pose, without);
     let oracle = Oracle::new(scene, without).expect("a sound scene");
@@ -47,7 +50,7 @@ fn check(scene: &Scene, without: Without) {
     let near = turned(&pose).map(|pose| by_oracle(&oracle, &pose));
 
     let what = format!("{} {without:?}", scene.name);
-    let (mut differing, mut strays, mut unexplained) = (0, 0, Vec::new());
+    let (mut differing, mut strays, mut in_one_plane, mut unexplained) = (0, 0, 0, Vec::new());
     for k in 0..truth.id.len() {
         let is_same = |c: usize, low: f64, high: f64, tolerance: f64| {
             let room = tolerance * high.abs() + LEAST;
@@ -65,9 +68,12 @@ fn check(scene: &Scene, without: Without) {
         let depths = near.iter().chain([&truth]).map(|image| image.depth[k]);
         let (low, high) = depths.fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
         let is_as_deep = (low * (1.0 - LEAST)..=high * (1.0 + LEAST)).contains(&kernel.depth[k]);
-        let is_shown = near.iter().chain([&truth]).any(shows) && is_as_deep;
-        strays += u32::from(!(0..4).all(|c| is_between(c, TOLERANCE)));
-        if !is_shown || !(0..4).all(|c| is_between(c, STRAY)) {
+        let is_shown = near.iter().chain([&truth]).any(shows);
+        let is_colored = (0..4).all(|c| is_between(c, TOLERANCE));
+        strays += u32::from(!is_colored);
+        if !is_shown && is_as_deep && is_colored {
+            in_one_plane += 1;
+        } else if !(is_shown && is_as_deep && (0..4).all(|c| is_between(c, STRAY))) {
             let (x, y) = (k as u32 % SIZE, k as u32 / SIZE);
             unexplained.push(format!(
                 "({x}, {y}): triangle {} at {} of {:?}, not {} at {} of {:?}",
@@ -85,6 +91,10 @@ fn check(scene: &Scene, without: Without) {
         "{what}: {} pixels: {:#?}",
         unexplained.len(),
         &unexplained[..unexplained.len().min(9)]
+    );
+    assert!(
+        in_one_plane <= coplanar,
+        "{what}: {in_one_plane} pixels show another triangle of the same place and colour, not {coplanar}"
     );
     let share = |count: u32| f64::from(count) / truth.id.len() as f64;
     assert!(share(differing) <= EXPLAINED_MAX, "{what}: {differing} pixels differ");
@@ -143,7 +153,7 @@ fn by_kernel(scene: &Scene, pose: &CameraPose, without: Without) -> OracleImage 
 fn check_generated(kind: Kind, without: &[Without]) {
     let mut scene = generate(&Recipe { kind, triangles: 5000, seed: 1 }).expect("in range");
     scene.name = kind.name().into();
-    without.iter().for_each(|&without| check(&scene, without));
+    without.iter().for_each(|&without| check(&scene, without, 0));
 }
 
 const ON: Without = Without { textures: false, shadows: false, reflection: false, refraction: false };
@@ -152,21 +162,21 @@ const OPEN: Without = Without { shadows: true, ..ON };
 const DULL: Without = Without { reflection: true, ..ON };
 const OPAQUE: Without = Without { refraction: true, ..ON };
 
-fn check_file(folder: &Path, path: &Path) {
+fn check_file(folder: &Path, path: &Path, coplanar: usize) {
     let options = LoadOptions { scenes_folder: Some(folder.to_owned()) };
     let mut scene = tessera_scene::load(path, &options).expect("it loads");
     scene.name = path.display().to_string();
-    check(&scene, ON);
+    check(&scene, ON, coplanar);
 }
 
 #[test]
 fn cornell() {
-    check_generated(Kind::Cornell, &[ON, BARE, OPEN, OPAQUE]);
+    check_generated(Kind::Cornell, &[ON, BARE, OPEN, DULL, OPAQUE]);
 }
 
 #[test]
 fn hall() {
-    check_generated(Kind::Hall, &[ON, BARE, OPEN, OPAQUE]);
+    check_generated(Kind::Hall, &[ON, BARE, OPEN, DULL, OPAQUE]);
 }
 
 #[test]
@@ -188,7 +198,7 @@ fn city() {
 fn real_scenes() {
     let Some(folder) = scene_folder() else { return };
     for file in ["cornell_box", "bunny", "sponza"] {
-        check_file(&folder, &root().join("scenes").join(file).with_extension("toml"));
+        check_file(&folder, &root().join("scenes").join(file).with_extension("toml"), 0);
     }
 }
 
@@ -210,6 +220,8 @@ fn gltf_cases() {
         "VertexColorTest/glTF-Binary/VertexColorTest.glb",
     ];
     for case in cases {
-        check_file(&folder, &folder.join("gltf_cases").join(case));
+        check_file(&folder, &folder.join("gltf_cases").join(case), 0);
     }
+    // Its balls' halves and labels lie in planes that two triangles share.
+    check_file(&folder, &folder.join("gltf_cases/TransmissionTest/glTF-Binary/TransmissionTest.glb"), 5);
 }

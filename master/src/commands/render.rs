@@ -80,7 +80,8 @@ pub struct FrameArgs {
     sampler: Sampler,
     /// Leave out rays whose weight in the pixel is below W, [0, 1]
     ///
-    /// The default, 1/512, is below what 8 bits show. With 0 only --depth ends a path: in glass 2^depth rays a sample.
+    /// The default, 1/512, is below what 8 bits show. Less than 1/65536 goes only with a --depth of at most 3: nothing else would bound the
+    /// rays behind a sample.
     #[arg(long, value_name = "W", default_value_t = Sampling::CUTOFF, value_parser = weight, help_heading = "Image")]
     #[arg(allow_hyphen_values = true)]
     cutoff: f32,
@@ -205,7 +206,7 @@ impl<'a> Plan<'a> {
         if bytes > limits::TILE_BYTES {
             return Err(CommandError::usage(FrameError::TileBytes { bytes }));
         }
-        args.sampling().check(args.tile).map_err(CommandError::usage)?;
+        args.sampling().check(args.tile, args.depth).map_err(CommandError::usage)?;
         let without = packing.without();
         let features = Features {
             shadows: !without.shadows,

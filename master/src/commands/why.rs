@@ -121,8 +121,8 @@ pub struct Bytes {
     pub pack: i64,
     /// Of each section that differs.
     pub sections: BTreeMap<&'static str, i64>,
-    /// In the memory of a device that holds the pack.
-    pub device: i64,
+    /// In the memory of a device that holds the pack; none if one of the two has a section too large for the indices of a kernel.
+    pub device: Option<i64>,
     /// Of the text of a GPU's kernels.
     pub kernel_text: Option<i64>,
 }
@@ -476,14 +476,13 @@ impl Bytes {
     fn more(pack: &Pack, twin: &Pack) -> Self {
         let more = |of: &dyn Fn(&Pack) -> u64| of(twin) as i64 - of(pack) as i64;
         let sections = Section::ALL.iter().map(|&s| (s.name(), more(&|pack| pack.section_bytes(s))));
-        // None is too large for a device of which the other is not.
         let device = |pack: &Pack| {
-            DeviceWords::of(pack, &[]).map_or(0, |words| words.slots.len() as u64 + 4 * words.length)
+            DeviceWords::of(pack, &[]).map(|words| words.slots.len() as i64 + 4 * words.length as i64)
         };
         Self {
             pack: more(&|pack| pack.bytes().len() as u64),
             sections: sections.filter(|(_, bytes)| *bytes != 0).collect(),
-            device: more(&device),
+            device: device(twin).zip(device(pack)).map(|(twin, pack)| twin - pack),
             kernel_text: None,
         }
     }
@@ -526,7 +525,8 @@ impl Why {
         )?;
         for line in &self.why {
             let picture = if line.equal == Some(false) { "ANOTHER" } else { "the same" };
-            let (pack, device) = (signed(line.bytes.pack), signed(line.bytes.device));
+            let pack = signed(line.bytes.pack);
+            let device = line.bytes.device.map_or_else(|| "too large".into(), signed);
             write!(t, "  {:<12} {pack:>10} {device:>11}", line.part)?;
             let timings = [("CPU", &line.cpu), ("GPU", &line.gpu)];
             let timings: Vec<_> =

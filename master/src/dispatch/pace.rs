@@ -52,7 +52,8 @@ impl Pace {
     const STALLED_LEAST: Duration = Duration::from_secs(60);
 
     /// and, as nothing is known of a frame's first tiles, not before a worker ten times slower than one that is still of use had
-    /// rendered the tile: a sample with its secondary rays takes microseconds, in the worst scenes a millisecond.
+    /// rendered the tile: a sample with its secondary rays takes microseconds, in the worst scenes a millisecond. What `Frame::check` lets pass
+    /// can take longer, up to `limits::RAYS` rays and their shadows: a tile all of such samples, which takes a scene that was made for it, is given up.
     const STALLED_SAMPLE: Duration = Duration::from_millis(10);
 
     /// Tiles that are only compared may take a worker so many of the slowest ones each, which others of its class have rendered,

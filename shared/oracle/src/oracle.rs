@@ -154,7 +154,8 @@ impl Oracle {
     /// called with the number of each row that is done, in no order.
     ///
     /// # Panics
-    /// When [`View::check`] fails: check what comes from a user.
+    /// When [`View::check`] fails. Every view must be checked before it comes here; what is wrong with one is the user's to mend, and the
+    /// check says it in words.
     pub fn render(&self, view: &View, on_row: impl Fn(u32) + Sync) -> OracleImage {
         view.check().expect("the view was checked");
         let lens = Lens::new(view).expect("the view was checked");

@@ -36,8 +36,9 @@ impl FrameParams {
 pub struct Sampling {
     /// Where the samples of a pixel lie.
     pub sampler: Sampler,
-    /// Weight in a pixel below which a ray is not traced, [0, 1]. With 0 only depth and layers end a path: up to 2^depth rays behind a
-    /// sample that meets mirroring glass.
+    /// Weight in a pixel below which a ray is not traced, [0, 1]; `path.rs` says what it bounds. With 0 only depth and layers end a path:
+    /// up to 2^depth rays behind a sample that meets mirroring glass, more where it passes panes. What comes from others is to be bounded
+    /// before: the wire's frames have a cut-off of at least 2^-16, or a depth of at most 3.
     pub cutoff: f32,
     /// Whether parts of the image that are good enough get fewer samples; `None`: all get the same.
     pub adaptive: Option<Adaptive>,

@@ -42,6 +42,7 @@ pub mod variant;
 
 pub use adaptive::AdaptiveTile;
 pub use frame::{Adaptive, Features, FrameParams, PixelFormat, RayCounts, Sampling};
+pub use path::MAX_LAYERS;
 pub use pixel::{NUMERIC_CLASS, PixelBlock};
 pub use probe::Probe;
 pub use sample::Sampler;

@@ -8,8 +8,8 @@
 //! * **Weight.** A ray whose weight in the pixel is below the frame's cut-off `w` in every channel is not traced, and none of weight 0 is.
 //!   Whatever it would have seen changes a pixel by less than `w` times that radiance: with [`Sampling::CUTOFF`](crate::Sampling::CUTOFF)
 //!   = 1/512 by less than half a step, 1/510, of 8-bit linear light. The weights of the rays behind one surface sum to at most that
-//!   surface's own, so at most `3 / w` rays (`1 / w` a channel, 1536 in all) of one generation are alive, and a path of any depth stays
-//!   bounded. With `w = 0` only depth and layers end a path.
+//!   surface's own, so at most `3 / w` rays (`1 / w` a channel, 1536 in all) of one generation are alive: `3 (1 + max_depth + MAX_LAYERS) / w`
+//!   in all. With `w = 0` only depth and layers end a path.
 //! * **Layers.** Straight continuations (blending, thin walls, `ior == 1`) do not count as depth, but a path passes
 //!   at most [`MAX_LAYERS`] of them; behind the last one it is black and opaque.
 
@@ -23,7 +23,7 @@ use tessera_geometry::wide::{LANES, lanes_in};
 use tessera_geometry::{Hit, Ray, Vec3};
 
 /// Surfaces that a path, or a shadow ray, passes straight.
-pub(crate) const MAX_LAYERS: u32 = 64;
+pub const MAX_LAYERS: u32 = 64;
 
 /// Whether a ray, or a light, of this weight is not followed.
 pub(crate) fn is_cut_off(weight: Vec3, cutoff: f32) -> bool {
@@ -358,5 +358,52 @@ impl<T: Tracer> Path<'_, '_, T> {
         let pushed = self.stack.push(segment, self.params.sampling.cutoff);
         self.tracer.pushed(way, segment.weight.max_element(), pushed > 0);
         pushed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stage::{Stage, glass, look};
+    use crate::variant::Variant;
+    use crate::{PixelFormat, Sampling};
+    use tessera_pack::{Material, MaterialFlags};
+
+    /// Two veils of glass face each other, and the ray from the eye runs between them: every surface that it meets has three rays behind it.
+    /// Those that leave the gap see nothing, so that the whole tree is followed, and the mirrored one, which is taken up first, leaves two
+    /// waiting at every unit of depth. No path has more, for a straight ray is taken up last, with nothing of its surface beside it.
+    #[test]
+    fn the_stack_holds_all_that_waits_when_nothing_is_cut_off() {
+        // An index of 20 reflects (19 / 21)^2 = 82 %: half of that is left of the weight, 2^-41 after 32 mirrors.
+        let veil = Material {
+            base_color: [1.0, 1.0, 1.0, 0.5],
+            flags: glass(20.0).flags | MaterialFlags::ALPHA_BLEND,
+            ..glass(20.0)
+        };
+        let mut stage = Stage::default();
+        stage.quad([-5.0, -5.0, -1.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], veil);
+        stage.quad([-5.0, -5.0, 1.0], [0.0, 10.0, 0.0], [10.0, 0.0, 0.0], veil);
+        let pack = stage.pack();
+        let scene = Renderer::new(&pack);
+        for max_depth in [0, 1, 8, FrameParams::MAX_DEPTH] {
+            let sampling = Sampling { cutoff: 0.0, ..Sampling::default() };
+            let view = crate::stage::View { sampling, max_depth, ..look([0.1, 0.2, 0.0], [0.1, 0.2, -1.0]) };
+            let params = view.params(&pack, PixelFormat::Rgba8);
+            let (origin, direction) = (params.camera.origin, params.camera.forward);
+            let eye = Ray { origin, direction, t_min: 0.0, t_max: f32::INFINITY };
+            let (mut stack, mut counts) = (PathStack::new(), RayCounts::default());
+            trace(&scene, &params, &[eye; LANES], 1, &mut stack, &mut counts);
+            assert_eq!(
+                (counts.reflection, counts.refraction),
+                (u64::from(max_depth), u64::from(2 * max_depth + 1)),
+                "one mirrored ray and one through glass a surface; a straight one, at the last too"
+            );
+
+            // A place that was never taken has the weight of an empty stack, 0. The first surface's own ray never waits.
+            let peak = stack.segments.iter().filter(|segment| segment.weight != Vec3::ZERO).count();
+            assert_eq!(peak, (2 * max_depth + 1) as usize, "depth {max_depth}");
+            assert_eq!(peak, Variant::of(&pack).path_stack(max_depth) as usize, "what a GPU reserves");
+            assert!(peak <= PathStack::CAPACITY);
+        }
     }
 }

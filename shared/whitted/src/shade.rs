@@ -19,7 +19,7 @@
 //! | ambient light | `D (1 - g F(n.v))` times its radiance |
 //! | a light of irradiance `E` (at normal incidence) | `E max(n.l, 0) (D (1 - F(h.v)) / pi + F(h.v) B(n.h))` |
 //! | highlight `B(x)` | Blinn-Phong `x^e (e + 2) (e + 4) / (8 pi (2^(-e/2) + e))`, `e = 2 / r^4 - 2`, at most 1024 |
-//! | mirror ray | `(1 - T) g F(n.v) + T g Fg`; from inside the glass `T Fg`, for what is totally reflected has nowhere else to go |
+//! | mirror ray | `(1 - T) g F(n.v) + T g Fg`; from inside a body of glass `(1 - T) g F(n.v) + T Fg`, for what is totally reflected has nowhere else to go |
 //! | refracted ray | `T (1 - Fg) c` |
 //!
 //! `E` is intensity over squared distance (candela) or the intensity itself (lux). The exponent follows from matching
@@ -28,7 +28,7 @@
 //! `B` makes its albedo 1 where it is greatest, at normal incidence.
 //!
 //! **Energy.** `D <= c (1 - T)` and all of `c`, `F`, `Fg`, `g` lie in [0, 1]. Ambient, mirror and refracted weights
-//! together are at most `(1 - T) (1 - g F + g F) + T (1 - Fg + Fg) = 1`; what a light brings is weighed by at most
+//! together are at most `(1 - T) (1 - g F + g F) + T (1 - Fg + Fg) = 1`, from inside glass too; what a light brings is weighed by at most
 //! `D (1 - F) + F <= 1`.
 //!
 //! Emission is added, unscaled. An **unlit** material shows its base colour and sends no rays. With **blending**,
@@ -43,7 +43,8 @@
 //! for the inside of a glass body is the back of its surface.
 //!
 //! Reflection or refraction **switched off** acts on the material: without reflection `g = Fg = 0` (a metal turns
-//! diffuse), without refraction `T = 0` (glass turns opaque, `t` counts as 0).
+//! diffuse, glass passes all of `T c`, and what is totally reflected is lost), without refraction `T = 0` (glass turns opaque, `t` counts
+//! as 0). Weights only lose by it: the mirror's is 0, and that of the refracted ray at most `T`.
 
 use crate::light;
 use crate::probe::Tracer;
@@ -124,9 +125,13 @@ pub(crate) fn terms(paint: &Paint, surface: &Surface, direction: Vec3, features:
     let mut passage = Passage::Straight;
     if glass > 0.0 {
         let (through, reflectance) = pass(paint, surface, direction);
-        let sharp = if surface.from_front || !features.reflection { gloss } else { 1.0 };
+        let inside = !surface.from_front && !paint.thin_walled;
+        let sharp = if inside && features.reflection { 1.0 } else { gloss };
         mirror += Vec3::splat(glass * reflectance * sharp);
-        passed = paint.base * (glass * (1.0 - reflectance));
+
+        // Without reflection all of it passes, but for what can't: total reflection bends no ray.
+        let kept = if features.reflection || reflectance == 1.0 { reflectance } else { 0.0 };
+        passed = paint.base * (glass * (1.0 - kept));
         passage = through;
     }
     Terms {

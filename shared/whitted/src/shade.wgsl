@@ -43,9 +43,13 @@ fn terms_of(paint: Paint, surface: Surface, direction: vec3<f32>) -> Terms {
     var passage = Passage(false, none, 0.0);
     if HAS_GLASS && glass > 0.0 {
         passage = pass_glass(paint, surface, direction);
-        let sharp = select(1.0, gloss, surface.from_front || !has_feature(FEATURE_REFLECTION));
+        let inside = !surface.from_front && !paint.thin_walled;
+        let sharp = select(gloss, 1.0, inside && has_feature(FEATURE_REFLECTION));
         mirror += vec3<f32>(times(times(glass, passage.reflectance), sharp));
-        passed = scaled(paint.base, times(glass, 1.0 - passage.reflectance));
+
+        // Without reflection all of it passes, but for what can't: total reflection bends no ray.
+        let kept = select(0.0, passage.reflectance, has_feature(FEATURE_REFLECTION) || passage.reflectance == 1.0);
+        passed = scaled(paint.base, times(glass, 1.0 - kept));
     }
     return Terms(
         diffuse, times3(diffuse, vec3<f32>(1.0) - scaled(fresnel, gloss)), paint.emissive, f0, f90,

@@ -40,7 +40,8 @@ pub struct Frame {
 pub struct Sampling {
     /// Where the samples of a pixel lie.
     pub sampler: Sampler,
-    /// Weight in a pixel below which a ray is not traced, [0, 1]; with 0 only depth and layers end a path.
+    /// Weight in a pixel below which a ray is not traced, [0, 1]; below [`Sampling::BOUNDING_CUTOFF`] only with a depth of at most
+    /// [`Sampling::BOUNDING_DEPTH`].
     pub cutoff: f32,
     /// Whether blocks of pixels that are good enough get fewer samples.
     pub adaptive: Option<Adaptive>,
@@ -92,10 +93,23 @@ impl Sampling {
     /// Least weight that is traced unless a frame says otherwise: below half a step of 8-bit linear light.
     pub const CUTOFF: f32 = 1.0 / 512.0;
 
-    /// Checks every number against its range, for a frame in tiles of side `tile`.
-    pub fn check(&self, tile: u32) -> Result<(), FrameError> {
+    /// 2^-16: from here on weights bound the rays behind a sample, at any depth, by [`limits::RAYS`]. The rays that go on from one surface
+    /// weigh no more than the one that met it, in each channel; so those of one generation weigh at most 1 in each of three, and at most `3 / w` of
+    /// them weigh `w` in some channel. A path has at most `1 + depth + `[`limits::LAYERS`] generations: in all `3 (65 + depth) / w` rays.
+    pub const BOUNDING_CUTOFF: f32 = 1.0 / 65_536.0;
+
+    /// Up to here the depth bounds them by itself, whatever they weigh. Of `d` mirror and bent rays, one of two each, and `l` straight
+    /// continuations there are `2^d C(d + l, l)` orders: `2^d C(d + 65, d + 1)` rays with up to 64 of these, for each `d` up to the depth. That is 6.7
+    /// million for a depth of 3 and 187 million for 4: many panes behind each other make a large part of it come true.
+    pub const BOUNDING_DEPTH: u32 = 3;
+
+    /// Checks every number against its range, for a frame in tiles of side `tile` whose paths are `depth` deep.
+    pub fn check(&self, tile: u32, depth: u32) -> Result<(), FrameError> {
         if !(0.0..=1.0).contains(&self.cutoff) {
             return Err(FrameError::Cutoff(self.cutoff));
+        }
+        if self.cutoff < Self::BOUNDING_CUTOFF && depth > Self::BOUNDING_DEPTH {
+            return Err(FrameError::Unbounded { cutoff: self.cutoff, depth });
         }
         match self.adaptive {
             Some(Adaptive { error }) if !(error > 0.0 && error <= 1.0) => {
@@ -227,6 +241,19 @@ pub enum FrameError {
     /// Weight cut-off.
     #[error("cut-off {0}: a weight must be in 0..=1")]
     Cutoff(f32),
+    /// Neither weight nor depth bounds the work.
+    #[error(
+        "cut-off {cutoff} with depth {depth}: a sample could take more than {rays} rays; choose a cut-off of at least 1/65536 = 0.0000153, \
+         or a depth of at most {limit}",
+        rays = limits::RAYS,
+        limit = Sampling::BOUNDING_DEPTH
+    )]
+    Unbounded {
+        /// Least weight that would be traced.
+        cutoff: f32,
+        /// Mirror and bent rays of a path.
+        depth: u32,
+    },
     /// Adaptive sampling's threshold.
     #[error("adaptive sampling to an error of {0}: it must be more than 0 and at most 1")]
     AdaptiveError(f32),
@@ -252,10 +279,10 @@ impl Frame {
         if !(1..=limits::SAMPLES).contains(&self.samples) {
             return Err(FrameError::Samples(self.samples));
         }
-        self.sampling.check(self.tile)?;
         if self.depth > limits::DEPTH {
             return Err(FrameError::Depth(self.depth));
         }
+        self.sampling.check(self.tile, self.depth)?;
         self.camera.check()?;
         Ok(grid)
     }
@@ -326,8 +353,17 @@ mod tests {
             Err(FrameError::TileBytes { bytes: 1 << 28 })
         );
         assert_eq!(check(&|f| f.samples = 0), Err(FrameError::Samples(0)));
-        assert_eq!(check(&|f| f.sampling.cutoff = 0.0), Ok(64));
-        assert_eq!(check(&|f| f.sampling.cutoff = 1.0), Ok(64));
+        let weighing = |cutoff, depth| move |f: &mut Frame| (f.sampling.cutoff, f.depth) = (cutoff, depth);
+        for cutoff in [Sampling::BOUNDING_CUTOFF, 0.5, 1.0] {
+            assert_eq!(check(&weighing(cutoff, limits::DEPTH)), Ok(64));
+        }
+        for cutoff in [0.0, f32::MIN_POSITIVE, Sampling::BOUNDING_CUTOFF.next_down()] {
+            assert_eq!(check(&weighing(cutoff, Sampling::BOUNDING_DEPTH)), Ok(64));
+            for depth in [Sampling::BOUNDING_DEPTH + 1, 8, limits::DEPTH] {
+                assert_eq!(check(&weighing(cutoff, depth)), Err(FrameError::Unbounded { cutoff, depth }));
+            }
+        }
+        assert_eq!(check(&weighing(0.0, 33)), Err(FrameError::Depth(33)));
         assert_eq!(check(&|f| f.sampling.cutoff = 1.5), Err(FrameError::Cutoff(1.5)));
         assert_eq!(check(&|f| f.sampling.cutoff = -0.001), Err(FrameError::Cutoff(-0.001)));
         assert!(matches!(check(&|f| f.sampling.cutoff = f32::NAN), Err(FrameError::Cutoff(_))));
@@ -350,5 +386,34 @@ mod tests {
         assert_eq!(check(&|f| f.camera.forward = [0.0; 3]), Err(FrameError::Camera("forward")));
         assert_eq!(check(&|f| f.camera.right[0] = f32::INFINITY), Err(FrameError::Camera("right")));
         assert_eq!(check(&|f| f.camera.up[2] = 1e30), Err(FrameError::Camera("up")));
+    }
+
+    #[test]
+    fn what_passes_has_boundedly_many_rays_behind_a_sample() {
+        let by_weight =
+            |cutoff: f32, depth: u32| 3.0 * f64::from(1 + depth + limits::LAYERS) / f64::from(cutoff);
+        let most = limits::RAYS as f64;
+        assert!(by_weight(Sampling::BOUNDING_CUTOFF, limits::DEPTH) <= most);
+        assert!(
+            by_weight(Sampling::BOUNDING_CUTOFF / 2.0, limits::DEPTH) > most,
+            "the bound is no wider than need be"
+        );
+
+        // Rays that have gone on straight `l` times and otherwise `d` times, counted generation by generation.
+        let by_depth = |depth: usize| {
+            let mut rays = vec![[0u64; limits::LAYERS as usize + 1]; depth + 1];
+            rays[0][0] = 1;
+            for d in 0..=depth {
+                for l in 0..rays[0].len() {
+                    let straight = if l > 0 { rays[d][l - 1] } else { 0 };
+                    let deeper = if d > 0 { 2 * rays[d - 1][l] } else { 0 };
+                    rays[d][l] += straight + deeper;
+                }
+            }
+            rays.into_iter().flatten().sum::<u64>()
+        };
+        assert_eq!((by_depth(0), by_depth(1)), (65, 65 + 2 * 65 * 66 / 2));
+        assert!(by_depth(Sampling::BOUNDING_DEPTH as usize) <= limits::RAYS);
+        assert!(by_depth(Sampling::BOUNDING_DEPTH as usize + 1) > limits::RAYS);
     }
 }

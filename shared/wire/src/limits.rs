@@ -43,6 +43,13 @@ pub const SAMPLES: u32 = 1 << 16;
 /// Reflections and refractions a path may take: the tracer's path stack.
 pub const DEPTH: u32 = 32;
 
+/// Surfaces that a path passes straight, besides.
+pub const LAYERS: u32 = 64;
+
+/// Rays behind one sample that look for a surface; each surface asks for every light. Cut-off and depth of a frame bound them together, far
+/// above what a picture needs: 19 million with the least cut-off ([`crate::Sampling::BOUNDING_CUTOFF`]) at depth 32, 112,000 by default.
+pub const RAYS: u64 = 1 << 25;
+
 /// Bytes of a pack: far above the largest scene (San Miguel is 0.5 GiB), far below what makes arithmetic
 /// wrap.
 pub const PACK_BYTES: u64 = 1 << 40;

@@ -3,7 +3,7 @@
 use crate::support::{stages::*, *};
 use tessera_geometry::{DVec3, Vec3};
 use tessera_pack::{Material, MaterialFlags, Pack};
-use tessera_whitted::PixelFormat;
+use tessera_whitted::{Features, PixelFormat, RayCounts};
 
 /// Where the ray of a view meets the ruler.
 fn read_ruler(view: View, pack: &Pack) -> f64 {
@@ -130,4 +130,63 @@ fn a_smooth_mirror_never_looks_under_its_own_facets() {
     for pixel in look([0.3, 0.4, 2.6], [0.0; 3]).sized(64, 64).layers(&stage.pack()).0 {
         assert_color(pixel.color, 1.0, 1e-5);
     }
+}
+
+/// A wall of radiance 1 seen at normal incidence through what `add` puts before it.
+fn before_a_bright_wall(add: impl FnOnce(&mut Stage), features: Features) -> ([f32; 3], RayCounts) {
+    let mut stage = Stage::default();
+    add(&mut stage);
+    stage.quad([-4.0, -4.0, -3.0], [8.0, 0.0, 0.0], [0.0, 8.0, 0.0], unlit([1.0; 3]));
+    let view = View { features, ..look([0.1, 0.2, 2.0], [0.1, 0.2, 0.0]) };
+    let (pixels, counts) = view.layers(&stage.pack());
+    (pixels[0].color, counts)
+}
+
+#[test]
+fn without_reflection_glass_passes_all_that_can_pass() {
+    let features = Features { reflection: false, ..Features::default() };
+    let tinted = Material { base_color: [0.5, 1.0, 0.25, 1.0], ..glass(1.5) };
+    let ([r, g, b], counts) =
+        before_a_bright_wall(|stage| stage.cuboid([-1.0; 3], [1.0; 3], tinted), features);
+    // Two surfaces, and nothing is kept back by either: products of powers of two.
+    assert_eq!([r, g, b], [0.25, 1.0, 0.0625]);
+    assert_eq!((counts.reflection, counts.refraction), (0, 2));
+    let pane = Material { flags: MaterialFlags::THIN_WALLED, ..tinted };
+    let (color, _) = before_a_bright_wall(
+        |stage| stage.quad([-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], pane),
+        features,
+    );
+    assert_eq!(color, [0.5, 1.0, 0.25]);
+
+    // What is totally reflected has nowhere to go: at 45 degrees to the faces, beyond the critical angle.
+    let view = View { features, ..look([0.1, 0.0, 0.0], [1.1, 1.0, 0.0]) };
+    let (pixels, counts) = view.layers(&glass_cube().pack());
+    assert_eq!((pixels[0].color, pixels[0].alpha), ([0.0; 3], 1.0));
+    assert_eq!((counts.reflection, counts.refraction), (0, 0));
+}
+
+#[test]
+fn a_rough_pane_is_the_same_from_both_sides() {
+    let pane = |roughness| Material { flags: MaterialFlags::THIN_WALLED, roughness, ..glass(1.5) };
+    // The mirror's share at normal incidence is g Fg, with Fg = 4 % and g = (1 - 2 r)^2; 96 % pass.
+    for (roughness, gloss) in [(0.0, 1.0), (0.25, 0.25), (0.5, 0.0), (1.0, 0.0)] {
+        let seen = |z: f64| {
+            let mut stage = Stage::default();
+            stage.quad([-1.0, -1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], pane(roughness));
+            stage.surround();
+            let view = look([0.1, 0.2, z], [0.1, 0.2, 0.0]);
+            (view.pixel(&stage.clone().pack()).color, view.layers(&stage.pack()).1.reflection)
+        };
+        let (front, back) = (seen(2.0), seen(-2.0));
+        assert_eq!(front, back, "roughness {roughness}");
+        assert_color(front.0, 0.96 + 0.04 * gloss, 1e-6);
+        assert_eq!(front.1, u64::from(gloss > 0.0), "roughness {roughness}");
+    }
+
+    // From inside a body, what is kept back is mirrored however rough the glass is.
+    let mut stage = Stage::default();
+    stage.cuboid([-1.0; 3], [1.0; 3], Material { roughness: 1.0, ..glass(1.5) });
+    stage.surround();
+    let view = View { max_depth: 1, ..look([0.1, 0.2, 0.0], [0.1, 0.2, -1.0]) };
+    assert_eq!(view.layers(&stage.pack()).1.reflection, 1);
 }
