@@ -20,7 +20,8 @@ fn render(folder: &Folder, args: &[&str]) -> Tessera {
 
 /// The steps of its report.
 fn steps(folder: &Folder, args: &[&str]) -> Vec<serde_json::Value> {
-    let report: serde_json::Value = serde_json::from_str(&render(folder, args).args(["--json"]).run().ok()).unwrap();
+    let report: serde_json::Value =
+        serde_json::from_str(&render(folder, args).args(["--json"]).run().ok()).unwrap();
     report["error"]["steps"].as_array().unwrap_or_else(|| panic!("no steps: {report}")).clone()
 }
 
@@ -46,7 +47,8 @@ fn the_error_falls_as_samples_are_added_and_the_last_picture_is_the_one_asked_fo
     let without: serde_json::Value = serde_json::from_str(&without).unwrap();
     assert!(without["error"].is_null());
 
-    let with = render(&folder, &["--out", "b.exr", "--spp", "8", "--error-against", "spp:128", "--json"]).run().ok();
+    let with =
+        render(&folder, &["--out", "b.exr", "--spp", "8", "--error-against", "spp:128", "--json"]).run().ok();
     let with: serde_json::Value = serde_json::from_str(&with).unwrap();
     assert_eq!(with["image_hash"], without["image_hash"]);
     let steps = with["error"]["steps"].as_array().unwrap();
@@ -58,7 +60,10 @@ fn the_error_falls_as_samples_are_added_and_the_last_picture_is_the_one_asked_fo
 
     // For people it is a table.
     let text = render(&folder, &["--out", "b.exr", "--spp", "3", "--error-against", "spp:12"]).run().ok();
-    assert!(text.contains("error      against 12 samples a pixel") && text.contains("other triangle"), "{text}");
+    assert!(
+        text.contains("error      against 12 samples a pixel") && text.contains("other triangle"),
+        "{text}"
+    );
 }
 
 #[test]

@@ -81,13 +81,19 @@ impl Summary {
             .iter()
             .map(|row| Tradeoff { time: row.seconds(clock).median, error: row.error.rmse })
             .collect();
-        for (row, on_front) in rows.iter_mut().zip(front(&all)) {
-            row.on_front = on_front;
+        // Curves that show other things (with mirrors, without) are not to be chosen from.
+        let is_rival = |row: &Row, other: &Row| turned.knob != Knob::Packed || row.series == other.series;
+        for place in 0..rows.len() {
+            let rivals: Vec<_> =
+                (0..rows.len()).filter(|&other| is_rival(&rows[place], &rows[other])).collect();
+            let front = front(&rivals.iter().map(|&rival| all[rival]).collect::<Vec<_>>());
+            rows[place].on_front = rivals.iter().zip(front).any(|(rival, is_on)| *rival == place && is_on);
         }
+        let first = rows.iter().take_while(|row| is_rival(&rows[0], row)).count();
         let time_to_error = ERRORS
             .into_iter()
             .map(|rmse| {
-                let row = fastest_within(&all, rmse);
+                let row = fastest_within(&all[..first], rmse);
                 TimeToError { rmse, row, seconds: row.map(|row| all[row].time) }
             })
             .collect();

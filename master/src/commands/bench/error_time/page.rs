@@ -131,8 +131,9 @@ pub fn plot(knob: Knob, summary: &Summary, clock: Clock) -> Plot {
             curve.points.push(point(row, clock));
         }
     }
-    let mut front: Vec<_> =
-        summary.rows.iter().filter(|row| row.on_front).map(|row| point(row, clock)).collect();
+    let chosen_from =
+        |row: &&Row| row.on_front && (knob != Knob::Packed || row.series == summary.rows[0].series);
+    let mut front: Vec<_> = summary.rows.iter().filter(chosen_from).map(|row| point(row, clock)).collect();
     front.sort_by(|a, b| a.x.total_cmp(&b.x));
     for point in &mut front {
         (point.x_range, point.label) = (None, String::new());
