@@ -39,7 +39,8 @@ pub use oracle::{Oracle, OracleError};
 pub use reference::{Key, Reference, ReferenceError};
 pub use view::{View, ViewError};
 
-/// Names the arithmetic of the oracle: a stored reference of another version is refused. To be raised with every change of a picture.
+/// Names the arithmetic of the oracle: a stored reference of another version is refused. To be raised with every change of a
+/// picture: a test has the hash of one beside it.
 pub const VERSION: u32 = 1;
 
 /// The id of no triangle.

@@ -4,7 +4,7 @@ use glam::{DMat4, DVec3};
 use std::f64::consts::PI;
 use std::fs;
 use tessera_geometry::CameraPose;
-use tessera_oracle::{Key, NO_TRIANGLE, Oracle, OracleImage, Reference, View};
+use tessera_oracle::{Key, NO_TRIANGLE, Oracle, OracleImage, Reference, VERSION, View};
 use tessera_scene::generate::{Kind, Recipe, generate};
 use tessera_scene::{
     AlphaMode, Environment, Image, Light, LightKind, Material, Mesh, Node, Primitive, Scene, TextureRef,
@@ -608,4 +608,55 @@ fn a_damaged_reference_is_refused() {
     fs::remove_file(&path).expect("removed");
     fs::create_dir(&path).expect("a folder");
     refused("is no plain file");
+}
+
+/// The version, and the picture of [`gallery`] that it stands for.
+const PICTURE_OF_VERSION: (u32, &str) = (1, "");
+
+/// A bit of everything that the oracle computes: texture, highlight, mirror, glass, pane, veil, hole, back, lights of every kind, surroundings.
+fn gallery() -> Scene {
+    let texels: Vec<u8> = (0..64u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let texture = TextureRef { image: 0, wrap_s: Wrap::Repeat, wrap_t: Wrap::Mirror, nearest: false };
+    let (x, y) = ([1.5, 0.0, 0.0], [0.0, 1.5, 0.0]);
+    let veil = Material { alpha: AlphaMode::Blend, base_color: [0.2, 0.5, 0.9, 0.4], ..chalk() };
+    let holes = Material { alpha: AlphaMode::Mask(0.5), base_texture: Some(texture), ..chalk() };
+    let metal = Material { roughness: 0.2, base_color: [0.9, 0.7, 0.3, 1.0], ..mirror(0.8) };
+    let rough = Material { base_texture: Some(texture), roughness: 0.4, ..Material::default() };
+    let pane = Material { thin_walled: true, roughness: 0.2, ..glass(1.4) };
+    let mut stage = Stage::default()
+        .quad([-6.0; 3], [12.0, 0.0, 0.0], [0.0, 12.0, 0.0], rough)
+        .quad([-3.0, -2.0, -4.0], [4.0, 0.0, 1.0], [0.0, 4.0, 0.5], metal)
+        .quad([-2.0, -1.0, 0.0], x, y, glass(1.5))
+        .quad([-2.0, -1.0, -0.5], y, x, glass(1.5))
+        .quad([0.0, -1.0, 0.2], x, y, pane)
+        .quad([0.5, -0.5, -1.0], x, y, veil)
+        .quad([-0.5, 0.2, -2.0], x, y, holes)
+        .quad([-1.0, 0.5, 1.0], y, x, Material { double_sided: false, ..glow(0.5) })
+        .lamp(LightKind::Point, [1.0, 2.0, 3.0], [0.0, 0.0, -1.0], 20.0)
+        .lamp(LightKind::Directional, [0.0; 3], [-0.3, -0.5, -1.0], 1.0)
+        .sky(0.25);
+    stage.0.ambient = [0.1, 0.2, 0.3];
+    stage.0.images.push(Image { name: String::new(), width: 4, height: 4, rgba: texels.into() });
+    stage.0
+}
+
+/// Stored references are refused by the version alone: one that has not been raised lets those of another arithmetic pass.
+#[test]
+fn a_changed_picture_has_another_version() {
+    let pose = CameraPose {
+        eye: DVec3::new(0.4, 0.3, 5.0),
+        target: DVec3::new(0.0, 0.1, -1.0),
+        up: DVec3::Y,
+        fov_degrees: 40.0,
+    };
+    let view = View { pose, width: 24, height: 16, samples: 2, depth: 6, min_weight: 1.0 / 1024.0 };
+    view.check().expect("a usable view");
+    let image = Oracle::new(&gallery(), Without::default()).expect("sound").render(&view, |_| ());
+    let found = blake3::hash(&image.to_layers()).to_hex();
+    assert_eq!(
+        (VERSION, found.as_str()),
+        PICTURE_OF_VERSION,
+        "the oracle's picture is another one, or its version: raise tessera_oracle::VERSION by one with every change of a picture, \
+         and write both down in PICTURE_OF_VERSION"
+    );
 }
