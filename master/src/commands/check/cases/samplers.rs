@@ -62,7 +62,7 @@ const LAWS: [Law; Sampler::ALL.len()] = [
         squares: [edge_square, ramp_square, |n| {
             // Of x y, k = sqrt n (the test of sample.rs derives it).
             let k = n.sqrt();
-            (1.0 - 1.0 / k) * (1.0 + 1.0 / k).powi(2) * libm::pow(n, -1.5) / 72.0
+            (1.0 - 1.0 / k) * (1.0 + 1.0 / k) * (1.0 + 1.0 / k) * libm::pow(n, -1.5) / 72.0
                 + product_ramps() * ramp_square(n)
         }],
     },
@@ -102,8 +102,9 @@ const PRODUCT_MOVED: f64 = 0.05;
 /// s + t - 2 s t is, about a pixel's middle, two ramps and a product: the mean squares of the ramps' factors, 1 - 2 s and 1 - 2 t over the pixel's side, of
 /// which the middles are half a side from 1/2 and moved evenly, as a share of the product's, 2 over both sides.
 fn product_ramps() -> f64 {
-    let factor = PRODUCT_SIDE.powi(2) + 4.0 * PRODUCT_MOVED.powi(2) / 3.0;
-    2.0 * factor * PRODUCT_SIDE.powi(2) / (2.0 * PRODUCT_SIDE.powi(2)).powi(2)
+    let area = PRODUCT_SIDE * PRODUCT_SIDE;
+    let factor = area + 4.0 * PRODUCT_MOVED * PRODUCT_MOVED / 3.0;
+    2.0 * factor * area / (2.0 * area * 2.0 * area)
 }
 
 /// The slopes of the errors of every sampler. `place` makes view number `i` and its exact pixels from random numbers; those without a number do
