@@ -160,7 +160,7 @@ impl Studio<'_> {
                     let truths = self.truths.iter().find(|(without, _)| *without == setting.packing.without);
                     let (_, truths) =
                         truths.ok_or_else(|| CommandError::Failed("no oracle for it".into()))?;
-                    let picture = Rc::new(truths.picture(&view, self.progress)?);
+                    let picture = Rc::new(within_white(truths.picture(&view, self.progress)?));
                     known.push((key, picture.clone()));
                     picture
                 }
@@ -278,7 +278,7 @@ impl Peer<'_> {
     /// The linear picture: what its error is measured on. Also warms up.
     fn picture(&mut self) -> Result<Picture, CommandError> {
         let (pixels, ..) = self.render(PixelFormat::Layers)?;
-        Ok(Picture::from_frame(&self.buffer(PixelFormat::Layers, pixels)?))
+        Ok(within_white(Picture::from_frame(&self.buffer(PixelFormat::Layers, pixels)?)))
     }
 
     /// The 8-bit frame.
@@ -348,6 +348,14 @@ fn drop_repeated(outcomes: &mut Vec<Outcome>) {
         }
     }
     *outcomes = kept;
+}
+
+/// A linear picture as it is shown, clamped to [0, 1]: a highlight a thousand times brighter than white, off by a pixel, would otherwise be all
+/// of the error.
+fn within_white(mut picture: Picture) -> Picture {
+    let values = picture.channels.iter_mut().flatten();
+    values.for_each(|value| *value = value.clamp(0.0, 1.0));
+    picture
 }
 
 /// The seconds that taking the time takes by itself.

@@ -47,7 +47,7 @@ pub fn page(facts: &Facts<'_>, turned: &[Turned], summaries: &[Summary]) -> Resu
                  knob in turn.",
                 facts.triangles, facts.camera, size.width, size.height, facts.look.depth, facts.args.reps
             ),
-            "Errors are root mean squared differences of linear red, green and blue from the picture of an f64 tracer over the scene as \
+            "Errors are root mean squared differences of linear red, green and blue, clamped to [0, 1] as they are shown, from the picture of an f64 tracer over the scene as \
              its file states it. A star marks settings that no other of the knob beats in both time and error."
                 .into(),
         ],
@@ -78,7 +78,7 @@ fn caveats(facts: &Facts<'_>) -> Vec<String> {
         "\"to plain\" is the PSNR of 8-bit pictures to the frame of plain vertices, as the paper's Table 4 compares; its view and light are others."
             .into(),
         "All samples are of one seed, all of one view.".into(),
-        "Errors are of the linear picture before it is coded in 8 bits; PSNR in sRGB is of values clamped to [0, 1] and coded, unrounded."
+        "Errors are of linear light clamped to [0, 1], before it is coded in 8 bits; PSNR in sRGB is of the same values coded, unrounded."
             .into(),
         "The truth takes its own samples, not those of the frame; with one sample both take the pixel's centre.".into(),
         "Figures hold for this scene, view and machine; only ratios carry over.".into(),
