@@ -57,7 +57,8 @@ fn wrong_usage_is_exit_code_2_and_one_line() {
         let says = ["cut-off 0", "with depth 8", "a cut-off of at least 1/65536", "a depth of at most 3"];
         check(&boundless, &says);
         check(&[&boundless[..], &["--depth", "4"]].concat(), &["with depth 4"]);
-        check(&[&boundless[..], &["--depth", "3"]].concat(), &["none.ply"]);
+        let bounded = [&boundless[..], &["--depth", "3"]].concat();
+        Tessera::new(bounded).within(folder.path()).run().fails(1, &["none.ply"]);
     }
     for bad in ["0", "-1", "2", "nan", "fine"] {
         check(&render(&["--adaptive", bad]), &["--adaptive", "more than 0 and at most 1"]);

@@ -93,6 +93,7 @@ fn what_cannot_be_compared_is_refused_before_any_work() {
     refused(&["--out", "a.png", "--spp", "4", "--error-against", "spp:8"], 2, "at least 16");
     refused(&["--out", "./small.png", "--error-against", "small.png"], 2, "replace");
     refused(&["--out", "a.exr", "--error-against", "small.png"], 2, "8-bit codes");
-    refused(&["--out", "a.png", "--size", "30x30", "--error-against", "small.png"], 2, "40 x 40");
+    let args = ["render", "box.toml", "--size", "30x30", "--out", "a.png", "--error-against", "small.png"];
+    Tessera::new(args).within(folder.path()).run().fails(2, &["40 x 40"]);
     assert!(!folder.path().join("a.png").exists());
 }

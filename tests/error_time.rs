@@ -123,9 +123,10 @@ fn a_folder_gets_the_page_the_plots_and_the_figures() {
 
     // Table 4 compares with plain vertices: its first row is that picture.
     let packed = rows(&report, "packed");
-    assert_eq!(packed.len(), 8);
+    // The box has no textures: with texture coordinates it comes to the same.
+    assert_eq!(packed.len(), 6);
     assert!(packed[0]["to_plain"]["psnr_db"].is_null() && packed[0]["to_plain"]["mse"] == 0.0);
-    for row in [&packed[1], &packed[2], &packed[3]] {
+    for row in [&packed[1], &packed[2]] {
         assert!(row["to_plain"]["psnr_db"].as_f64().is_some_and(|db| db > 30.0), "{row}");
     }
     // Nothing of a knob is at least as fast and as true as what is on its front.

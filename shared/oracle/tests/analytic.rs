@@ -633,7 +633,7 @@ fn gallery() -> Scene {
         .quad([-0.5, 0.2, -2.0], x, y, holes)
         .quad([-1.0, 0.5, 1.0], y, x, Material { double_sided: false, ..glow(0.5) })
         .lamp(LightKind::Point, [1.0, 2.0, 3.0], [0.0, 0.0, -1.0], 20.0)
-        .lamp(LightKind::Directional, [0.0; 3], [-0.3, -0.5, -1.0], 1.0)
+        .lamp(LightKind::Directional, [0.0; 3], [-0.36, -0.48, -0.8], 1.0)
         .sky(0.25);
     stage.0.ambient = [0.1, 0.2, 0.3];
     stage.0.images.push(Image { name: String::new(), width: 4, height: 4, rgba: texels.into() });

@@ -55,7 +55,7 @@ fn joined(memory: Option<u64>) -> Session {
 fn joined_ahead(memory: Option<u64>, ahead: usize) -> Session {
     let mut s = Session::start(hello(), memory, ahead, Duration::ZERO);
     assert_eq!(actions(&mut s), [Action::Send(ToMaster::Hello(hello()))]);
-    s.message(ToWorker::Welcome { version: 3, worker: WorkerId(0) });
+    s.message(ToWorker::Welcome { version: 4, worker: WorkerId(0) });
     assert_eq!((actions(&mut s), s.deadline()), (vec![], None));
     s
 }

@@ -43,7 +43,7 @@ pub fn page(facts: &Facts<'_>, turned: &[Turned], summaries: &[Summary]) -> Resu
         title: format!("Error against run time: {}", facts.scene),
         summary: vec![
             format!(
-                "{} triangles, camera {}, {} x {} pixels, depth {}, {} frames of each setting after one to warm up, all settings of a \
+                "{} triangles, camera {}, {} x {} pixels, depth {}, frames measured of each setting: {}, after one to warm up, all settings of a \
                  knob in turn.",
                 facts.triangles, facts.camera, size.width, size.height, facts.look.depth, facts.args.reps
             ),
