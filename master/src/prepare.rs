@@ -504,8 +504,12 @@ mod tests {
             material,
             ..Primitive::default()
         };
-        let image =
-            |name: &str| Image { name: name.into(), width: 1, height: 1, rgba: vec![10, 20, 30, 255].into() };
+        let image = |name: &str, alpha| Image {
+            name: name.into(),
+            width: 1,
+            height: 1,
+            rgba: vec![10, 20, 30, alpha].into(),
+        };
         Scene {
             name: "test".into(),
             meshes: vec![Mesh {
@@ -533,7 +537,8 @@ mod tests {
                     ..Default::default()
                 },
             ],
-            images: vec![image("shared"), image("glass"), image("unused")],
+            // The shared one is a hole to the mask.
+            images: vec![image("shared", 40), image("glass", 255), image("unused", 255)],
             cameras: ["north", "south"]
                 .map(|name| {
                     let pose = CameraPose {
