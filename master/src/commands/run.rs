@@ -279,8 +279,8 @@ impl<'a> Session<'a> {
         let bar = self.progress.parts("rendering tiles");
         runtime.block_on(async {
             match held {
-                Held::Local(cluster) => target.from_cluster(cluster, job, &bar).await,
-                Held::Elsewhere(client, _) => target.from_master(client, job, &bar).await,
+                Held::Local(cluster) => target.ask_cluster(cluster, job, &bar).await,
+                Held::Elsewhere(client, _) => target.ask_master(client, job, &bar).await,
             }
         })
     }
@@ -334,7 +334,7 @@ trait Target {
     type Image;
 
     /// Has workers of this machine render it.
-    async fn from_cluster(
+    async fn ask_cluster(
         &self,
         cluster: &mut Cluster,
         job: &FrameJob,
@@ -342,7 +342,7 @@ trait Target {
     ) -> Result<FrameResult<Self::Image>, CommandError>;
 
     /// Has a master elsewhere render it.
-    async fn from_master(
+    async fn ask_master(
         &self,
         client: &mut Client,
         job: &FrameJob,
@@ -356,7 +356,7 @@ struct Keep;
 impl Target for Keep {
     type Image = FrameBuffer;
 
-    async fn from_cluster(
+    async fn ask_cluster(
         &self,
         cluster: &mut Cluster,
         job: &FrameJob,
@@ -365,7 +365,7 @@ impl Target for Keep {
         cluster.render(job, |event| show(bar, &event)).await.map_err(CommandError::failed)
     }
 
-    async fn from_master(
+    async fn ask_master(
         &self,
         client: &mut Client,
         job: &FrameJob,
@@ -393,7 +393,7 @@ impl ToPng<'_> {
 impl Target for ToPng<'_> {
     type Image = Written;
 
-    async fn from_cluster(
+    async fn ask_cluster(
         &self,
         cluster: &mut Cluster,
         job: &FrameJob,
@@ -404,7 +404,7 @@ impl Target for ToPng<'_> {
         Self::finish(stream, frame.map_err(CommandError::failed)?).await
     }
 
-    async fn from_master(
+    async fn ask_master(
         &self,
         client: &mut Client,
         job: &FrameJob,

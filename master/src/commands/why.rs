@@ -63,7 +63,7 @@ impl WhyArgs {
     fn gpu(&self, progress: &Progress) -> Result<Option<GpuProbe>, CommandError> {
         let BackendArgs { gpu, .. } = &self.backend;
         let is_wanted = self.backend.needs_gpu() || gpu.is_some();
-        if !is_wanted && !(self.backend.is_auto() && run::has_gpu()) {
+        if !(is_wanted || self.backend.is_auto() && run::has_gpu()) {
             return Ok(None);
         }
         let _bar = progress.step("looking for the GPU");
