@@ -183,7 +183,7 @@ pub struct PackingArgs {
     /// Triangle references on an inner node of the kd-tree [default: 2]
     #[arg(long, value_name = "0|1|2", value_parser = clap::value_parser!(u32).range(0..=2))]
     pub refs: Option<u32>,
-    /// When a triangle is worth a reference: OCCUPANCY,FREQUENCY[,TESTS] [default: 0.5,0.4,0.6]
+    /// When a triangle is worth a reference: OCCUPANCY,FREQUENCY or OCCUPANCY,FREQUENCY,TESTS [default: 0.5,0.4,0.6]
     ///
     /// It must span that share of the node's extent and be listed by that share of the non-empty leaves below, both 0 to 1, and be tested at
     /// least so often by a ray through the node without the reference (0: no matter how often).

@@ -29,7 +29,7 @@ pub struct Page {
     pub sections: Vec<PageSection>,
     /// Commands that measure it again.
     pub commands: Vec<String>,
-    /// What it was measured on: names and values, as of [`machine`].
+    /// What it was measured on: names and values, as of [`machine()`].
     pub machine: Vec<(String, String)>,
     /// What a reader must not conclude.
     pub caveats: Vec<String>,

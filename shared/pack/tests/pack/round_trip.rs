@@ -160,7 +160,7 @@ fn options_out_of_range_are_refused() {
         (PackOptions { uv_bits: 0, ..normal }, "texture coordinates of 0 bits"),
         (PackOptions { uv_bits: u32::MAX, ..normal }, "1 to 16 are possible"),
     ] {
-        let error = build_pack(everything(2), &options).err().expect("refused").to_string();
+        let error = build_pack(everything(2), &options).expect_err("refused").to_string();
         assert!(error.contains(expected), "{error}");
     }
 }
