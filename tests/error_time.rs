@@ -1,8 +1,7 @@
 //! `tessera bench error-time`, run small: what it prints and writes, and that it keeps its promises.
 
-use crate::support::{Folder, Tessera};
+use crate::support::{Folder, Tessera, names};
 use std::fs;
-use std::path::Path;
 
 /// A box with mirrors and glass, small enough for a test.
 const BOX: &str = "[generate]\nkind = \"cornell\"\ntriangles = 2000\n";
@@ -26,15 +25,6 @@ fn rows<'a>(report: &'a serde_json::Value, name: &str) -> &'a [serde_json::Value
 
 fn rmse(row: &serde_json::Value) -> f64 {
     row["error"]["rmse"].as_f64().expect("an error")
-}
-
-fn files(folder: &Path) -> Vec<String> {
-    let mut names: Vec<_> = fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-        .collect();
-    names.sort();
-    names
 }
 
 #[test]
@@ -104,7 +94,7 @@ fn a_folder_gets_the_page_the_plots_and_the_figures() {
     let page = folder.path().join("page");
     let expected =
         ["error-time.csv", "error-time.json", "index.html", "packed.png", "packed.svg", "uv.png", "uv.svg"];
-    assert_eq!(files(&page), expected);
+    assert_eq!(names(&page), expected);
 
     let kept: serde_json::Value =
         serde_json::from_slice(&fs::read(page.join("error-time.json")).unwrap()).unwrap();
@@ -145,9 +135,9 @@ fn truths_are_kept_and_damaged_ones_made_again() {
     let folder = Folder::new();
     let first = report(&folder, &["--knob", "normals"]);
     let kept = folder.path().join("truths");
-    let names = files(&kept);
-    assert_eq!(names.len(), 1, "{names:?}");
-    let file = kept.join(&names[0]);
+    let kept_names = names(&kept);
+    assert_eq!(kept_names.len(), 1, "{kept_names:?}");
+    let file = kept.join(&kept_names[0]);
     let made = fs::metadata(&file).unwrap().modified().unwrap();
 
     let again = report(&folder, &["--knob", "normals"]);

@@ -18,6 +18,13 @@ mod scenes;
 #[allow(dead_code, reason = "`tessera check` uses the rest")]
 mod world;
 
+/// Tiles that others took over in a frame that did not take longer than is allowed.
+fn taken_over_in_time(what: &str, judged: Result<world::Judged, String>) -> u32 {
+    let world::Judged { course, share } = judged.unwrap_or_else(|e| panic!("{what}: {e}"));
+    assert!(share <= 1.0, "{what}: {share} of the time allowed, {course:?}");
+    course.shared
+}
+
 #[test]
 fn nobody_waits_for_a_worker_a_thousand_times_slower() {
     let mut helped = 0;
@@ -25,15 +32,7 @@ fn nobody_waits_for_a_worker_a_thousand_times_slower() {
         for balance in Balance::ALL {
             for (slowness, tiles) in world::UNEQUAL {
                 let what = format!("seed {seed}, {balance}, {slowness:?}, {tiles:?}");
-                let judged =
-                    world::unequal(slowness, tiles, balance, seed).unwrap_or_else(|e| panic!("{what}: {e}"));
-                assert!(
-                    judged.share <= 1.0,
-                    "{what}: {} of the time allowed, {:?}",
-                    judged.share,
-                    judged.course
-                );
-                helped += judged.course.shared;
+                helped += taken_over_in_time(&what, world::unequal(slowness, tiles, balance, seed));
             }
         }
     }
@@ -66,15 +65,7 @@ fn a_tile_a_hundred_thousand_times_dearer_holds_the_frame_no_longer_than_itself(
             for workers in [1, 2, 5, 16] {
                 for dear in [0, 100, 255] {
                     let what = format!("seed {seed}, {balance}, {workers} workers, tile {dear}");
-                    let judged = world::dear_tile(dear, workers, balance, seed)
-                        .unwrap_or_else(|e| panic!("{what}: {e}"));
-                    assert!(
-                        judged.share <= 1.0,
-                        "{what}: {} of the time allowed, {:?}",
-                        judged.share,
-                        judged.course
-                    );
-                    helped += judged.course.shared;
+                    helped += taken_over_in_time(&what, world::dear_tile(dear, workers, balance, seed));
                 }
             }
         }

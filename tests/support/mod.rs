@@ -271,13 +271,17 @@ impl Folder {
 
     /// Names of what is in it.
     pub fn names(&self) -> Vec<String> {
-        let entries = fs::read_dir(self.path()).expect("a temporary folder");
-        let mut names: Vec<_> = entries
-            .map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned())
-            .collect();
-        names.sort();
-        names
+        names(self.path())
     }
+}
+
+/// Names of what is in a folder, in their order.
+pub fn names(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).expect("a folder");
+    let mut names: Vec<_> =
+        entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
 }
 
 /// The repository's root.
