@@ -108,9 +108,7 @@ impl Bands {
     fn put(&mut self, rect: Rect, pixels: &[u8]) -> Result<(), Fault> {
         let row = rect.y / self.grid.tile();
         if row < self.next {
-            // Its rows are away: a second tile for one place.
-            let Rect { x, y, width, height } = rect;
-            return Err(Fault::Tile(TileError::Outside { x, y, width, height }));
+            return Err(Fault::Tile(TileError::Twice { x: rect.x, y: rect.y }));
         }
         if !self.held.contains_key(&row) {
             let image = self.new_band(rect.height).map_err(Fault::NoRoom)?;

@@ -31,6 +31,14 @@ pub enum TileError {
         /// Rows.
         height: u32,
     },
+    /// Its rows are complete and away.
+    #[error("a second tile came for the place at {x}, {y}, whose rows are written")]
+    Twice {
+        /// Left column.
+        x: u32,
+        /// Top row.
+        y: u32,
+    },
     /// The bytes do not fill the rectangle.
     #[error("a tile of {expected} bytes came with {found}")]
     Length {

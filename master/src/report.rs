@@ -243,7 +243,7 @@ impl ErrorStep {
             self.total_ms,
             or(psnr_db, 2, "equal"),
             or(ssim, 5, "-"),
-            or(flip, 5, "-"),
+            format!("{flip:.5}"),
             or(wrong_id_share.map(|share| 100.0 * share), 4, "-") + " %"
         )
     }

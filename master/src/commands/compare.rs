@@ -92,7 +92,7 @@ fn text(found: &Comparison) -> String {
         psnr(found.psnr_linear_db),
         or_none(found.psnr_srgb_db, "none, nothing differs between black and white", " dB"),
         or_none(found.ssim, "none, a side is shorter than a window of 11 pixels", ""),
-        or_none(found.flip, "none", ""),
+        format_args!("{:.4}", found.flip),
         found.max_abs,
         found.differing_share * 100.0,
     )

@@ -170,7 +170,7 @@ struct Pixels {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compare::compare_files;
+    use crate::compare::{Comparison, compare};
     use crate::output::OutputFile;
 
     #[test]
@@ -195,6 +195,8 @@ mod tests {
         let exr = save("a.exr", PixelFormat::Layers, &words);
         assert_eq!(load(&exr).unwrap().channels, [vec![0.0, 0.5], vec![0.0, 2.0], vec![0.0, 0.25]]);
 
+        let compare_files =
+            |a: &Path, b: &Path| -> Result<Comparison, CompareError> { compare(&load(a)?, &load(b)?) };
         let fails = |a: &Path, b: &Path, says: &str| {
             let error = compare_files(a, b).unwrap_err().to_string();
             assert!(error.contains(says) && error.lines().count() == 1, "{error}");

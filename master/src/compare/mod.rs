@@ -13,7 +13,7 @@ pub use flip::PIXELS_PER_DEGREE;
 pub use map::error_picture;
 
 use light::Decoder;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Red, green and blue of an image, and what is seen in it.
 ///
@@ -78,11 +78,11 @@ pub struct Comparison {
     /// when nothing differs within [0, 1].
     pub psnr_srgb_db: Option<f64>,
     /// Structural similarity (Wang, Bovik, Sheikh, Simoncelli 2004) of the codes or linear values, mean over the channels and over all
-    /// 11 x 11 windows inside the image; none when a side is shorter than a window, or it was not asked for.
+    /// 11 x 11 windows inside the image; none when a side is shorter than a window.
     pub ssim: Option<f64>,
     /// Mean LDR-FLIP (Andersson et al. 2020) at [`PIXELS_PER_DEGREE`], [0, 1], 0 when nothing can be seen to differ; of EXR values clamped
-    /// to [0, 1]. None when it was not asked for.
-    pub flip: Option<f64>,
+    /// to [0, 1].
+    pub flip: f64,
     /// Largest difference of a red, green or blue value, in codes or linear light.
     pub max_abs: f64,
     /// Share of the pixels with a difference in red, green or blue, [0, 1].
@@ -95,22 +95,6 @@ pub struct Comparison {
     pub width: u32,
     /// Rows.
     pub height: u32,
-}
-
-/// Measures that cost more than a glance at each pixel: together less than a CPU second for 1024 x 1024 pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Measures {
-    /// Structural similarity.
-    pub ssim: bool,
-    /// FLIP.
-    pub flip: bool,
-}
-
-impl Measures {
-    /// All of them.
-    pub const ALL: Self = Self { ssim: true, flip: true };
-    /// None of them: for figures that are asked for while a picture changes.
-    pub const QUICK: Self = Self { ssim: false, flip: false };
 }
 
 /// Why two images cannot be compared.
@@ -135,24 +119,11 @@ pub enum CompareError {
     Kind(&'static str, &'static str),
 }
 
-/// Reads and compares two files, by all measures.
-pub fn compare_files(a: &Path, b: &Path) -> Result<Comparison, CompareError> {
-    compare(&Picture::load(a)?, &Picture::load(b)?)
-}
-
-/// Compares two images of one size and kind by all measures.
+/// Compares two images of one size and kind: a CPU second at most for 1024 x 1024 pixels.
 ///
 /// # Errors
 /// [`CompareError::Picture`], [`CompareError::Size`], [`CompareError::Kind`].
 pub fn compare(a: &Picture, b: &Picture) -> Result<Comparison, CompareError> {
-    measures(a, b, Measures::ALL)
-}
-
-/// [`compare`], with the costly measures left out that `which` does not name.
-///
-/// # Errors
-/// As [`compare`].
-pub fn measures(a: &Picture, b: &Picture, which: Measures) -> Result<Comparison, CompareError> {
     check_pair(a, b)?;
     let decoder = Decoder::new(a.kind);
     let pixels = a.channels[0].len();
@@ -186,8 +157,8 @@ pub fn measures(a: &Picture, b: &Picture, which: Measures) -> Result<Comparison,
         psnr_db: psnr_db(mse, peak),
         psnr_linear_db: psnr_db(mean(linear), 1.0),
         psnr_srgb_db: psnr_db(mean(coded), 1.0),
-        ssim: if which.ssim { ssim::ssim(a, b, peak) } else { None },
-        flip: which.flip.then(|| mean_flip(a, b)),
+        ssim: ssim::ssim(a, b, peak),
+        flip: mean_flip(a, b),
         max_abs,
         differing_share: share(differing),
         wrong_id_share: wrong_ids.map(|count| share(count as u64)),
@@ -355,17 +326,17 @@ mod tests {
         ];
         for (name, [codes, light], theirs, expected) in cases {
             for [a, b] in [&codes, &light] {
-                let found = compare(a, b).unwrap().flip.unwrap();
+                let found = compare(a, b).unwrap().flip;
                 assert!((found - theirs).abs() < FLIP_BOUND, "{name}: {found} is not {theirs}");
                 // Codes are exact, light has been rounded to f32. The bound of f64 follows as that of f32 does, from 2^-52.
                 let bound = if a.kind == Kind::Linear { FLIP_BOUND } else { 5e-9 };
                 assert!((found - expected).abs() < bound, "{name}: {found} is not {expected}");
-                assert_eq!(compare(b, a).unwrap().flip, Some(found), "{name}: neither is the reference");
+                assert_eq!(compare(b, a).unwrap().flip, found, "{name}: neither is the reference");
             }
         }
         // Smaller than the filters.
         let (a, b) = (codes_of(5, 3, ramp), codes_of(5, 3, bent_ramp));
-        let found = compare(&a, &b).unwrap().flip.unwrap();
+        let found = compare(&a, &b).unwrap().flip;
         assert!((found - 0.164_994_103_213_151_3).abs() < FLIP_BOUND, "{found}");
     }
 
@@ -395,9 +366,9 @@ mod tests {
         let found = compare(&light(3.0), &light(1.0)).unwrap();
         // 10 log10(1 / 4).
         close(found.psnr_linear_db.unwrap(), -6.020_599_913_279_624);
-        assert_eq!((found.psnr_srgb_db, found.flip, found.max_abs), (None, Some(0.0), 2.0));
+        assert_eq!((found.psnr_srgb_db, found.flip, found.max_abs), (None, 0.0, 2.0));
         let found = compare(&light(-1.0), &light(0.0)).unwrap();
-        assert_eq!((found.psnr_srgb_db, found.flip, found.rmse), (None, Some(0.0), 1.0));
+        assert_eq!((found.psnr_srgb_db, found.flip, found.rmse), (None, 0.0, 1.0));
     }
 
     #[test]
@@ -408,14 +379,6 @@ mod tests {
         assert_eq!(share(Some(ids.clone()), Some(vec![0, 3, 2, 9])), Some(0.5));
         assert_eq!(share(Some(ids.clone()), Some(ids.clone())), Some(0.0));
         assert_eq!((share(Some(ids), None), share(None, None)), (None, None));
-    }
-
-    #[test]
-    fn what_is_left_out_is_none_and_changes_nothing_else() {
-        let (a, b) = (codes_of(20, 20, ramp), codes_of(20, 20, bent_ramp));
-        let all = compare(&a, &b).unwrap();
-        let quick = measures(&a, &b, Measures::QUICK).unwrap();
-        assert_eq!(quick, Comparison { ssim: None, flip: None, ..all });
     }
 
     #[test]
