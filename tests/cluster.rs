@@ -64,6 +64,7 @@ pub fn job(pack: &Pack, balance: Balance) -> FrameJob {
         format: PixelFormat::Layers,
         balance,
         mix: false,
+        coding: None,
     }
 }
 

@@ -292,6 +292,7 @@ async fn packs_and_frames_that_cannot_be_are_refused_and_do_no_harm() {
         features: Default::default(),
         format: PixelFormat::Rgba8,
         returns: tessera_wire::ReturnMode::AtEnd,
+        coding: tessera_wire::Coding::Raw,
     };
     let invalid = |answer| {
         let reason = match answer {

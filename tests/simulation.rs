@@ -238,13 +238,7 @@ fn a_worker_that_returns_nonsense_is_cut_off_and_the_others_finish() {
         let mut world = World::with_workers(1, 3);
         let job = FrameJob { width: 64, height: 64, tile: 8, ..world.random_job() };
         world.coordinator.begin(&job, world.now).expect("a job in range");
-        let first = TileEntry {
-            tile: TileId(0),
-            attempt: Attempt(0),
-            length: 256,
-            render_us: 0,
-            rays: Rays::default(),
-        };
+        let first = TileEntry::raw(256);
         trick(&mut world, first);
         world.expected_lost.insert(WorkerId(0));
         let outcome = world.finish(&job).expect("two workers are enough");
@@ -679,7 +673,7 @@ impl World {
                     }
                 }
             }
-            Action::Return(Batch { header, pixels }) => {
+            Action::Return(Batch { header, pixels, .. }) => {
                 header.check().expect("a worker's own batch");
                 for (entry, pixels) in header.tiles.into_iter().zip(pixels) {
                     let at = self.arrival(worker, 2);
@@ -740,6 +734,7 @@ impl World {
             format: PixelFormat::Rgba8,
             balance: Balance::ALL[self.below(4) as usize],
             mix: false,
+            coding: None,
         }
     }
 
@@ -759,5 +754,5 @@ impl World {
 fn render(task: RenderTask, time: Duration) -> RenderedTile {
     let pixels = pixels(task.rect, task.frame.format);
     let rays = Rays { primary: u64::from(task.rect.width) * u64::from(task.rect.height), ..Rays::default() };
-    RenderedTile { task, pixels, time, rays }
+    RenderedTile::new(task, pixels, time, rays)
 }

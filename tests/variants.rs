@@ -50,6 +50,7 @@ fn frame_as(pack: &Pack, format: PixelFormat) -> Frame {
         },
         balance: Balance::default(),
         mix: false,
+        coding: None,
     };
     job.to_wire(FrameId(1), PackId(pack.id().0))
 }

@@ -33,6 +33,7 @@ fn hashes(prepared: &Prepared, kernel: Kernel, forced: Needs) -> [String; 3] {
             format,
             balance: Balance::default(),
             mix: false,
+            coding: None,
         };
         let (pixels, _) = cpu_frame_with(pack, kernel, forced, &job.to_wire(FrameId(1), PackId(pack.id().0)));
         FrameBuffer::from_rows(SIDE, SIDE, format, pixels).expect("a frame").hash().to_string()

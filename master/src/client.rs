@@ -271,5 +271,6 @@ fn result(summary: FrameSummary, pack: PackId) -> FrameResult<()> {
         traffic: Traffic { sent, received, udp_sent, udp_received },
         rays: summary.rays,
         dropped_tiles: summary.dropped_tiles,
+        tiles: Vec::new(),
     }
 }

@@ -612,6 +612,11 @@ impl Cluster {
     fn result(&self, pack: PackId, mut outcome: Outcome) -> FrameResult {
         // By ticket: processes join in any order.
         let place = |name: &str| self.locals.iter().position(|local| local.name == name);
+        let mut order: Vec<_> = (0..outcome.workers.len()).collect();
+        order.sort_by_key(|&i| place(&outcome.workers[i].name).unwrap_or(usize::MAX));
+        let mut rank = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(to, &from)| rank[from] = to);
+        outcome.tiles.iter_mut().for_each(|tile| tile.worker = rank[tile.worker]);
         outcome.workers.sort_by_key(|w| place(&w.name).unwrap_or(usize::MAX));
         FrameResult {
             image: outcome.image,
@@ -624,6 +629,7 @@ impl Cluster {
             traffic: self.traffic(),
             rays: outcome.rays,
             dropped_tiles: outcome.dropped_tiles,
+            tiles: outcome.tiles,
         }
     }
 }

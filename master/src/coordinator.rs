@@ -6,7 +6,7 @@
 mod active;
 
 use crate::{
-    ClassDifference, ClassPart, FrameBuffer, FrameJob, Timings, WorkerReport,
+    ClassDifference, ClassPart, FrameBuffer, FrameJob, TileRecord, Timings, WorkerReport,
     dispatch::{Assignment, fastest},
     image::NoRoom,
     session::{Session, Step},
@@ -123,6 +123,8 @@ pub struct Outcome {
     pub rays: Rays,
     /// Results dropped.
     pub dropped_tiles: u64,
+    /// Every result; `worker` counts in `workers`.
+    pub tiles: Vec<TileRecord>,
 }
 
 /// The master's whole state.

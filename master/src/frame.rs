@@ -4,7 +4,7 @@ use crate::{Balance, FrameBuffer};
 use std::{fmt, time::Duration};
 use tessera_geometry::{LocalCamera, Vec3};
 use tessera_pack::PackId;
-use tessera_wire::{Camera, Features, Frame, FrameId, PixelFormat, Rays, Sampling};
+use tessera_wire::{Attempt, Camera, Coding, Features, Frame, FrameId, PixelFormat, Rays, Sampling, TileId};
 
 /// One frame of the loaded pack.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,6 +33,8 @@ pub struct FrameJob {
     pub balance: Balance,
     /// Whether workers of several numeric classes may take part. If not, those of one do, and a picture is of one class.
     pub mix: bool,
+    /// How pixels travel; `None`: without loss, packed where that is faster than sending them raw.
+    pub coding: Option<Coding>,
 }
 
 impl FrameJob {
@@ -61,6 +63,7 @@ impl FrameJob {
             features,
             format,
             returns,
+            coding: self.coding.unwrap_or_default(),
         }
     }
 }
@@ -82,7 +85,23 @@ impl FrameJob {
             right: Vec3::from_array(camera.right),
             up: Vec3::from_array(camera.up),
         };
-        Self { camera, width, height, tile, samples, sampling, depth, seed, features, format, balance, mix }
+        // Whether the picture is rounded is the client's business, how its tiles travel here the master's.
+        let coding = Some(Coding::Rounded).filter(|rounded| frame.coding == *rounded);
+        Self {
+            camera,
+            width,
+            height,
+            tile,
+            samples,
+            sampling,
+            depth,
+            seed,
+            features,
+            format,
+            balance,
+            mix,
+            coding,
+        }
     }
 }
 
@@ -208,6 +227,37 @@ pub struct FrameResult<I = FrameBuffer> {
     pub rays: Rays,
     /// Results that came twice or too late, or of a class that was lost, and were dropped.
     pub dropped_tiles: u64,
+    /// Every result that came for this frame, in the order of coming, dropped ones too; empty for a frame of a master elsewhere.
+    pub tiles: Vec<TileRecord>,
+}
+
+/// Where the time of a tile went. Times of the master's clock count from the frame's begin, those of the worker's are lengths alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TileRecord {
+    /// Which tile.
+    pub tile: TileId,
+    /// Times that it had been handed out before.
+    pub attempt: Attempt,
+    /// Whose: an index into [`FrameResult::workers`].
+    pub worker: usize,
+    /// When it was handed out.
+    pub assigned: Duration,
+    /// When all of its bytes were here.
+    pub received: Duration,
+    /// How long the worker's renderer had nothing to do before it.
+    pub idle: Duration,
+    /// Of rendering.
+    pub render: Duration,
+    /// Of coding.
+    pub coding: Duration,
+    /// From the end of rendering until it was handed to the transport, coding included.
+    pub waited: Duration,
+    /// Bytes on the wire, with its batch's header if it is the first of it.
+    pub wire_bytes: u64,
+    /// Bytes of its pixels.
+    pub pixel_bytes: u32,
+    /// Whether it is the one in the image.
+    pub is_first: bool,
 }
 
 impl<I> FrameResult<I> {
@@ -224,6 +274,7 @@ impl<I> FrameResult<I> {
             traffic,
             rays,
             dropped_tiles,
+            tiles,
         } = self;
         let after = FrameResult {
             image,
@@ -236,6 +287,7 @@ impl<I> FrameResult<I> {
             traffic,
             rays,
             dropped_tiles,
+            tiles,
         };
         (after, before)
     }

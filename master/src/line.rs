@@ -12,7 +12,9 @@ use std::{
     time::Duration,
 };
 use tessera_pack::Pack;
-use tessera_wire::{AbortCode, BatchHeader, FrameId, TileEntry, ToMaster, ToWorker, WorkerId, limits};
+use tessera_wire::{
+    AbortCode, BatchHeader, FrameId, TileCoding, TileEntry, ToMaster, ToWorker, WorkerId, limits,
+};
 use tokio::{
     io::AsyncWriteExt,
     sync::mpsc,
@@ -219,9 +221,13 @@ async fn read_batch(
     let mut header_share = header_bytes;
     for entry in header.tiles {
         let most = counters.tile_bytes.load(Ordering::Relaxed);
-        if u64::from(entry.length) > most {
-            let detail = format!("a tile of {} bytes, no frame had one of more than {most}", entry.length);
+        let bytes = entry.length.max(entry.pixel_bytes);
+        if u64::from(bytes) > most {
+            let detail = format!("a tile of {bytes} bytes, no frame had one of more than {most}");
             return Err(PipeError::Malformed(detail));
+        }
+        if entry.coding == TileCoding::Packed {
+            return Err(PipeError::Malformed("a packed tile, and none was asked for".into()));
         }
         let pixels = read_raw(pipe, entry.length as usize).await?;
         counters.received.fetch_add(pixels.len() as u64, Ordering::Relaxed);
@@ -263,7 +269,6 @@ async fn write_packs(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tessera_wire::{Attempt, Rays, TileId};
 
     #[tokio::test]
     async fn a_tile_longer_than_any_frame_has_had_is_not_read() {
@@ -272,14 +277,7 @@ mod tests {
         let counters = Arc::<Counters>::default();
         counters.tile_bytes.store(100, Ordering::Relaxed);
         let _line = Line::start(WorkerId(0), link, &tell, &counters);
-        let entry = |length| TileEntry {
-            tile: TileId(0),
-            attempt: Attempt(0),
-            length,
-            render_us: 0,
-            rays: Rays::default(),
-        };
-        let header = BatchHeader { frame: FrameId(1), tiles: vec![entry(100), entry(101)] };
+        let header = BatchHeader { frame: FrameId(1), tiles: vec![TileEntry::raw(100), TileEntry::raw(101)] };
         write_message(&mut there.bulk_out, &header).await.unwrap();
         // Enough for the first alone: the second is not waited for.
         there.bulk_out.write_all(&[7; 100]).await.unwrap();

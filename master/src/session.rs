@@ -315,12 +315,12 @@ mod tests {
         };
         change(&mut abilities);
         let role = Role::Worker(abilities);
-        Hello { versions: vec![4], token: Token::default(), name: "w".into(), role }
+        Hello { versions: vec![5], token: Token::default(), name: "w".into(), role }
     }
 
     fn joined() -> Session {
         let mut s = Session::new(WorkerId(3), NOW);
-        let welcome = ToWorker::Welcome { version: 4, worker: WorkerId(3) };
+        let welcome = ToWorker::Welcome { version: 5, worker: WorkerId(3) };
         assert_eq!(
             s.message(ToMaster::Hello(hello()), Some("cpu-1"), NOW),
             [Step::Send(welcome), Step::Joined]
@@ -370,8 +370,8 @@ mod tests {
             assert_eq!(steps[0], Step::Send(ToWorker::Refuse(refusal)));
             check_over(&mut s, &steps, AbortCode::Refused);
         };
-        for other in [1, 2, 3, 9] {
-            check(&|h| h.versions = vec![other], None, Refusal::Version { supported: vec![4] });
+        for other in [1, 2, 3, 4, 9] {
+            check(&|h| h.versions = vec![other], None, Refusal::Version { supported: vec![5] });
         }
         check(&|h| h.role = Role::Client, None, Refusal::Role);
         check(&|_| (), Some("gpu-1"), Refusal::NumericClass { expected: "gpu-1".into() });
@@ -387,7 +387,7 @@ mod tests {
         let noted = |note: &str| hello_with(|a| a.note = note.into());
         check(&|h| *h = noted("x\ny"), None, Refusal::Malformed { detail: texts.into() });
         let many = "17 versions, at most 16 are allowed";
-        check(&|h| h.versions = vec![4; 17], None, Refusal::Malformed { detail: many.into() });
+        check(&|h| h.versions = vec![5; 17], None, Refusal::Malformed { detail: many.into() });
     }
 
     #[test]

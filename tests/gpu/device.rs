@@ -145,5 +145,6 @@ pub fn wire_frame(pack: &Pack, params: &FrameParams) -> Frame {
             PixelFormat::Layers => tessera_wire::PixelFormat::Layers,
         },
         returns: ReturnMode::AtEnd,
+        coding: tessera_wire::Coding::Raw,
     }
 }

@@ -36,6 +36,7 @@ fn a_frame_has_one_hash_for_any_number_of_workers_and_every_balancing() {
                 format: PixelFormat::Rgba8,
                 balance,
                 mix: false,
+                coding: None,
             };
             let result = runtime.block_on(async {
                 let (links, served): (Vec<_>, Vec<_>) = (0..workers)

@@ -97,15 +97,18 @@ fn render_on_cpu(
     tell: &impl Fn(RenderEvent),
 ) {
     let kernel = backend.kernel();
-    while let Ok((task, pack, stop)) = queue.recv() {
-        let begun = Instant::now();
+    loop {
+        let waits = Instant::now();
+        let Ok((task, pack, stop)) = queue.recv() else { return };
+        let (begun, idle) = (Instant::now(), waits.elapsed());
         let renderer = Renderer::with_kernel(&pack, kernel);
         let rendered = pool.install(|| cpu::render(&renderer, &task.frame, task.rect, &stop));
         let time = begun.elapsed();
         tell(match rendered {
-            Some((pixels, rays)) => {
-                RenderEvent::Rendered(Box::new(RenderedTile { task, pixels, time, rays }))
-            }
+            Some((pixels, rays)) => RenderEvent::Rendered(Box::new(RenderedTile {
+                idle,
+                ..RenderedTile::new(task, pixels, time, rays)
+            })),
             None => RenderEvent::Stopped,
         });
     }
@@ -223,6 +226,7 @@ mod tests {
             features: Features::default(),
             format: PixelFormat::Rgba8,
             returns: ReturnMode::AtEnd,
+            coding: tessera_wire::Coding::Raw,
         };
         let rect = Rect { x: 0, y: 0, width: 512, height: 512 };
         RenderTask { frame, tile: TileId(0), attempt: Attempt(0), rect }

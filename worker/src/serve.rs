@@ -6,7 +6,7 @@ use crate::{
     pipes::{PipeError, Reader, Writer, read_message, reason, write_message},
     receive::{Assembly, receive},
     render::{RenderEvent, RenderThread},
-    session::{Action, Batch, Ending, RenderedTile, Session},
+    session::{Action, Batch, Ending, RenderedTile, Session, micros},
 };
 use std::{io, time::Duration};
 use tessera_pack::Pack;
@@ -147,7 +147,7 @@ pub(crate) async fn serve_until(
         }),
     };
     let ahead = config.backend.tiles_ahead();
-    let driver = match Driver::start(pipes, config.threads.max(1), config.backend, config.cache) {
+    let driver = match Driver::start(pipes, config.threads.max(1), config.backend, config.cache, begun) {
         Ok(driver) => driver,
         Err(error) => return Served { was_welcomed: false, outcome: Err(error) },
     };
@@ -207,6 +207,8 @@ struct Driver {
     control_writer: JoinHandle<()>,
     /// At most as many longer than `limits::BATCHES_IN_FLIGHT` as tiles are rendered ahead: the session sees to it.
     bulk: mpsc::UnboundedSender<Batch>,
+    /// When the session was begun.
+    begun: Instant,
     bulk_writer: JoinHandle<()>,
     /// At most one long: likewise.
     wanted_packs: mpsc::UnboundedSender<(PackId, u64)>,
@@ -242,6 +244,7 @@ impl Driver {
         threads: u32,
         backend: Backend,
         cache: Option<PackCache>,
+        begun: Instant,
     ) -> Result<Self, WorkerError> {
         tracing::debug!("rendering on the {backend} with {threads} threads");
         let (tell, events) = mpsc::channel(Self::EVENTS);
@@ -250,7 +253,7 @@ impl Driver {
         let (wanted_packs, wanted) = mpsc::unbounded_channel();
         let mut tasks = JoinSet::new();
         tasks.spawn(read_control(pipes.control_in, tell.clone()));
-        let bulk_writer = tokio::spawn(write_bulk(pipes.bulk_out, batches, tell.clone()));
+        let bulk_writer = tokio::spawn(write_bulk(pipes.bulk_out, batches, begun, tell.clone()));
         tasks.spawn(read_packs(pipes.bulk_in, wanted, (backend.clone(), cache.clone()), tell.clone()));
         let control_writer = tokio::spawn(write_control(pipes.control_out, messages));
         let renderer = RenderThread::start(threads, backend, move |event| {
@@ -268,6 +271,7 @@ impl Driver {
             control,
             control_writer,
             bulk,
+            begun,
             bulk_writer,
             wanted_packs,
             renderer,
@@ -311,7 +315,9 @@ impl Driver {
                     tracing::info!("the master has let this worker in");
                 }
             }
-            Event::Rendered(tile) => session.rendered(*tile),
+            Event::Rendered(tile) => {
+                session.rendered(RenderedTile { finished: self.begun.elapsed(), ..*tile });
+            }
             Event::RenderingStopped => session.rendering_stopped(),
             // Others render its tiles; it may come back with another backend.
             Event::RenderingFailed(reason) => session.abort(AbortCode::Internal, reason),
@@ -393,10 +399,11 @@ async fn write_control(mut pipe: Writer, mut messages: mpsc::UnboundedReceiver<T
 async fn write_bulk(
     mut pipe: Writer,
     mut batches: mpsc::UnboundedReceiver<Batch>,
+    begun: Instant,
     tell: mpsc::Sender<Event>,
 ) {
     while let Some(batch) = batches.recv().await {
-        let event = match write_batch(&mut pipe, batch).await {
+        let event = match write_batch(&mut pipe, batch, begun).await {
             Ok(()) => Event::BatchSent,
             // A master that cuts the connection stops reading first. Its control pipe tells why, and this one must not be before it.
             Err(PipeError::Io(e)) => return tracing::debug!("bulk pipe: {}", reason(&e)),
@@ -409,7 +416,11 @@ async fn write_bulk(
     let _ = pipe.shutdown().await;
 }
 
-async fn write_batch(pipe: &mut Writer, batch: Batch) -> Result<(), PipeError> {
+async fn write_batch(pipe: &mut Writer, mut batch: Batch, begun: Instant) -> Result<(), PipeError> {
+    let now = begun.elapsed();
+    for (entry, &finished) in batch.header.tiles.iter_mut().zip(&batch.finished) {
+        entry.waited_us = micros(now.saturating_sub(finished));
+    }
     write_message(pipe, &batch.header).await?;
     for pixels in &batch.pixels {
         pipe.write_all(pixels).await?;
@@ -509,8 +520,10 @@ mod tests {
 
         let (bulk, batches) = mpsc::unbounded_channel();
         let header = BatchHeader { frame: FrameId(1), tiles: Vec::new() };
-        bulk.send(Batch { header, pixels: vec![vec![0; 100]] }).unwrap();
-        write_bulk(Box::new(pipe_out), batches, tell).await;
+        let coding = tessera_wire::Coding::Raw;
+        bulk.send(Batch { header, pixels: vec![vec![0; 100]], finished: vec![Duration::ZERO], coding })
+            .unwrap();
+        write_bulk(Box::new(pipe_out), batches, Instant::now(), tell).await;
         assert!(told.recv().await.is_none());
     }
 }

@@ -2,8 +2,8 @@
 
 use std::{collections::VecDeque, time::Duration};
 use tessera_wire::{
-    AbortCode, Attempt, BatchHeader, Frame, FrameId, Hello, PackId, PackRefusal, Rays, Rect, Refusal,
-    ReturnMode, TileEntry, TileGrid, TileId, ToMaster, ToWorker, Version, limits,
+    AbortCode, Attempt, BatchHeader, Coding, Frame, FrameId, Hello, PackId, PackRefusal, Rays, Rect, Refusal,
+    ReturnMode, TileCoding, TileEntry, TileGrid, TileId, ToMaster, ToWorker, Version, limits,
 };
 
 /// State of one connection. Times are counted from its start.
@@ -101,10 +101,21 @@ pub struct RenderedTile {
     pub task: RenderTask,
     /// Its pixels in the frame's format.
     pub pixels: Vec<u8>,
-    /// Wall time.
+    /// Wall time that the renderer had nothing to do before it.
+    pub idle: Duration,
+    /// Wall time of rendering.
     pub time: Duration,
+    /// When it was finished, by the session's clock.
+    pub finished: Duration,
     /// Rays traced.
     pub rays: Rays,
+}
+
+impl RenderedTile {
+    /// A tile that took `time`; of idle time and the clock nothing is known.
+    pub fn new(task: RenderTask, pixels: Vec<u8>, time: Duration, rays: Rays) -> Self {
+        Self { task, pixels, idle: Duration::ZERO, time, finished: Duration::ZERO, rays }
+    }
 }
 
 /// A header and the pixels that follow it, one piece a tile.
@@ -112,8 +123,12 @@ pub struct RenderedTile {
 pub struct Batch {
     /// Announces `pixels`.
     pub header: BatchHeader,
-    /// In the header's order.
+    /// In the header's order, as they were rendered: whoever writes the batch codes them, and completes the header.
     pub pixels: Vec<Vec<u8>>,
+    /// When each was finished, by the session's clock.
+    pub finished: Vec<Duration>,
+    /// How they are to be coded.
+    pub coding: Coding,
 }
 
 /// How a session ends.
@@ -425,7 +440,7 @@ impl Session {
 
 impl Active {
     fn new(frame: Frame, grid: TileGrid) -> Self {
-        let batch = Batch::new(frame.frame);
+        let batch = Batch::new(&frame);
         Self { frame, grid, queue: VecDeque::new(), in_hand: 0, batch, batch_bytes: 0, unsaid: 0 }
     }
 
@@ -437,10 +452,16 @@ impl Active {
             attempt: done.task.attempt,
             // `Frame::check` keeps a tile's bytes far below 2^32.
             length: done.pixels.len() as u32,
-            render_us: u32::try_from(done.time.as_micros()).unwrap_or(u32::MAX),
+            coding: TileCoding::Raw,
+            pixel_bytes: done.pixels.len() as u32,
+            idle_us: micros(done.idle),
+            render_us: micros(done.time),
+            coding_us: 0,
+            waited_us: 0,
             rays: done.rays,
         });
         self.batch.pixels.push(done.pixels);
+        self.batch.finished.push(done.finished);
         self.unsaid += 1;
         self.in_hand = self.in_hand.saturating_sub(1);
         let list_is_empty = self.queue.is_empty() && self.in_hand == 0;
@@ -463,14 +484,20 @@ impl Active {
 
     fn take_batch(&mut self) -> Batch {
         self.batch_bytes = 0;
-        std::mem::replace(&mut self.batch, Batch::new(self.frame.frame))
+        std::mem::replace(&mut self.batch, Batch::new(&self.frame))
     }
 }
 
 impl Batch {
-    fn new(frame: FrameId) -> Self {
-        Self { header: BatchHeader { frame, tiles: Vec::new() }, pixels: Vec::new() }
+    fn new(frame: &Frame) -> Self {
+        let header = BatchHeader { frame: frame.frame, tiles: Vec::new() };
+        Self { header, pixels: Vec::new(), finished: Vec::new(), coding: frame.coding }
     }
+}
+
+/// As [`TileEntry`] has times.
+pub(crate) fn micros(time: Duration) -> u32 {
+    u32::try_from(time.as_micros()).unwrap_or(u32::MAX)
 }
 
 #[cfg(test)]

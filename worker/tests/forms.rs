@@ -139,6 +139,7 @@ fn frame(
         features: Default::default(),
         format,
         returns: ReturnMode::AtEnd,
+        coding: tessera_wire::Coding::Raw,
     }
 }
 

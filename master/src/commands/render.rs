@@ -267,6 +267,7 @@ impl<'a> Plan<'a> {
             format: self.format,
             balance: args.balance,
             mix: args.mix,
+            coding: None,
         };
         let mut session = Session::open(&prepared.pack, &self.crew, progress)?;
         let frame = match self.against.take() {

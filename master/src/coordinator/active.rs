@@ -2,7 +2,7 @@
 
 use super::{BeginError, Outcome};
 use crate::{
-    ClassDifference, ClassPart, FrameJob, Timings, WorkerReport,
+    ClassDifference, ClassPart, FrameJob, TileRecord, Timings, WorkerReport,
     bands::{Canvas, Fault},
     dispatch::{Assignment, Check, Checks, Dispatch, Violation, choose},
     image::NoRoom,
@@ -34,6 +34,7 @@ pub(super) struct Active {
     grid: TileGrid,
     image: Canvas,
     rays: Rays,
+    tiles: Vec<TileRecord>,
     /// From whom each tile of the image is, for a mix.
     origins: BTreeMap<TileId, WorkerId>,
     checks: Option<Checks>,
@@ -69,6 +70,7 @@ impl Active {
             grid,
             image,
             rays: Rays::default(),
+            tiles: Vec::new(),
             origins: BTreeMap::new(),
             checks: None,
             begun: now,
@@ -91,6 +93,7 @@ impl Active {
         // The frame is complete only when each tile has come again.
         self.image.restart();
         (self.rays, self.alone) = (Rays::default(), None);
+        self.tiles.clear();
         self.due.clear();
         self.class = class;
         let (dispatch, assignments) =
@@ -128,7 +131,8 @@ impl Active {
         if pixels.len() as u64 != expected {
             return Err(format!("tile {} has {} bytes instead of {expected}", entry.tile.0, pixels.len()));
         }
-        let report = self.reports.iter_mut().find(|(w, _)| *w == worker).map(|(_, report)| report);
+        let place = self.reports.iter().rposition(|(w, _)| *w == worker);
+        let report = place.map(|place| &mut self.reports[place].1);
         let checks = self.checks.as_mut();
         if let Some(difference) = checks.and_then(|c| c.take(worker, entry.tile, entry.attempt)) {
             let in_image = self.image.get(rect);
@@ -143,11 +147,27 @@ impl Active {
             .dispatch
             .accept(worker, entry.tile, entry.attempt, now)
             .map_err(|violation| violation.to_string())?;
+        let since_begin = |time: Duration| time.saturating_sub(self.begun);
+        let assigned = self.dispatch.assigned_at(entry.tile, entry.attempt);
+        self.tiles.extend(place.map(|worker| TileRecord {
+            tile: entry.tile,
+            attempt: entry.attempt,
+            worker,
+            assigned: assigned.map_or(Duration::ZERO, since_begin),
+            received: since_begin(now),
+            idle: micros(entry.idle_us),
+            render: micros(entry.render_us),
+            coding: micros(entry.coding_us),
+            waited: micros(entry.waited_us),
+            wire_bytes,
+            pixel_bytes: entry.pixel_bytes,
+            is_first: first,
+        }));
         if let Some(report) = report {
             report.bytes_returned += wire_bytes;
             if first {
                 report.tiles += 1;
-                report.render += Duration::from_micros(entry.render_us.into());
+                report.render += micros(entry.render_us);
             }
         }
         if first {
@@ -294,8 +314,13 @@ impl Active {
             timings,
             rays: self.rays,
             dropped_tiles: self.dispatch.dropped() + self.late,
+            tiles: self.tiles,
         })
     }
+}
+
+fn micros(time: u32) -> Duration {
+    Duration::from_micros(time.into())
 }
 
 impl WorkerReport {

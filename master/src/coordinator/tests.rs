@@ -138,7 +138,7 @@ impl Fleet {
         let rect = grid.rect(tile).expect("a tile of the frame");
         let length = rect.width * rect.height * 4;
         let pixels = vec![code(&hand.class); length as usize];
-        let entry = TileEntry { tile, attempt, length, render_us: 1, rays: Rays::default() };
+        let entry = TileEntry { tile, attempt, ..TileEntry::raw(length) };
         self.now += Duration::from_millis(1);
         let rendered = ToMaster::Rendered { frame: frame.frame, tiles: 1 };
         self.master.message(worker, rendered, self.now);
@@ -189,6 +189,7 @@ fn job(mix: bool, balance: Balance) -> FrameJob {
         format: PixelFormat::Rgba8,
         balance,
         mix,
+        coding: None,
     }
 }
 

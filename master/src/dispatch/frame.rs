@@ -38,8 +38,8 @@ pub struct Dispatch {
 
 #[derive(Clone, Debug, Default)]
 struct Tile {
-    /// Attempt `n` went to the `n`th.
-    attempts: Vec<WorkerId>,
+    /// Attempt `n` went to the `n`th, then.
+    attempts: Vec<(WorkerId, Duration)>,
     done: bool,
 }
 
@@ -116,7 +116,7 @@ impl Dispatch {
         let count = workers.len() as u32;
         let assignments = match balance {
             Balance::PaperStatic if count > 0 => this.deal(workers, |tile| row_major_owner(tile, count), now),
-            Balance::Static if count > 0 => {
+            balance if balance.is_dealt() && count > 0 => {
                 let deal = Deal::new(grid, count);
                 this.deal(workers, |tile| deal.owner(tile), now)
             }
@@ -179,8 +179,9 @@ impl Dispatch {
         now: Duration,
     ) -> Result<bool, Violation> {
         let state = self.tiles.get_mut(tile.0 as usize);
-        let Some(state) = state.filter(|state| state.attempts.get(attempt.0 as usize) == Some(&worker))
-        else {
+        let Some(state) = state.filter(|state| {
+            state.attempts.get(attempt.0 as usize).is_some_and(|&(holder, _)| holder == worker)
+        }) else {
             return Err(Violation::NotAssigned { tile: tile.0, attempt: attempt.0 });
         };
         if let Some(hand) = self.crew.get_mut(&worker) {
@@ -198,7 +199,7 @@ impl Dispatch {
         if let Some(hand) = self.crew.get_mut(&worker) {
             hand.since = now;
         }
-        for holder in self.tiles[tile.0 as usize].attempts.clone() {
+        for (holder, _) in self.tiles[tile.0 as usize].attempts.clone() {
             if let Some(hand) = self.crew.get_mut(&holder) {
                 hand.missing -= 1;
                 hand.trim(&self.tiles);
@@ -217,7 +218,7 @@ impl Dispatch {
             hand.since = now;
         }
         hand.queued += 1;
-        attempts.push(worker);
+        attempts.push((worker, now));
         Some(Assignment { worker, attempt: Attempt(attempts.len() as u32 - 1), tiles: vec![tile] })
     }
 
@@ -251,7 +252,11 @@ impl Dispatch {
         }
         for tile in std::mem::take(&mut self.shared) {
             let attempts = &self.tiles[tile.0 as usize].attempts;
-            let holders: Vec<_> = attempts.iter().filter(|holder| self.crew.contains_key(holder)).collect();
+            let holders: Vec<_> = attempts
+                .iter()
+                .map(|(holder, _)| holder)
+                .filter(|holder| self.crew.contains_key(holder))
+                .collect();
             match holders[..] {
                 [&left] => self.crew.entry(left).or_default().alone_with.push(tile),
                 _ => self.shared.push(tile),
@@ -309,6 +314,11 @@ impl Dispatch {
     /// Whether every tile that is with a living worker is said to be rendered.
     pub fn all_rendered(&self) -> bool {
         self.pool.is_empty() && self.crew.values().all(|hand| hand.queued == 0)
+    }
+
+    /// When a tile was handed out for the time `attempt`.
+    pub fn assigned_at(&self, tile: TileId, attempt: Attempt) -> Option<Duration> {
+        self.tiles.get(tile.0 as usize)?.attempts.get(attempt.0 as usize).map(|&(_, at)| at)
     }
 
     /// Results that came twice and were dropped.
@@ -385,9 +395,9 @@ impl Dispatch {
     /// Tiles that a worker may hold now.
     fn credit(&self) -> usize {
         match self.balance {
-            Balance::PaperStatic | Balance::Static => usize::MAX,
             Balance::PaperDynamic => 1,
-            Balance::Dynamic => (self.pool.len() / self.crew.len().max(1)).clamp(1, PREFETCH),
+            balance if balance.is_dealt() => usize::MAX,
+            _ => (self.pool.len() / self.crew.len().max(1)).clamp(1, PREFETCH),
         }
     }
 
@@ -424,7 +434,7 @@ impl Dispatch {
     fn give(&mut self, worker: WorkerId, id: TileId, now: Duration, handed: &mut Handed) {
         let tile = &mut self.tiles[id.0 as usize];
         handed.0.entry((worker, tile.attempts.len() as u32)).or_default().push(id);
-        tile.attempts.push(worker);
+        tile.attempts.push((worker, now));
         let hand = self.crew.entry(worker).or_default();
         if hand.queued == 0 {
             hand.since = now;

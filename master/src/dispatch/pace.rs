@@ -81,11 +81,11 @@ impl Pace {
         let shown = self.shown.get(&helper).or_else(|| others().min_by_key(|shown| shown.mean()));
         let shown = shown.copied().unwrap_or_default();
         match self.balance {
-            Balance::PaperDynamic | Balance::Dynamic => {
+            balance if !balance.is_dealt() => {
                 let mean = shown.mean();
                 mean.saturating_mul(Self::LATE_MEANS).max(Self::LATE_LEAST)
             }
-            Balance::PaperStatic | Balance::Static => {
+            _ => {
                 let slowest = shown.slowest.saturating_mul(Self::DEAL_LATE_SLOWEST);
                 slowest.saturating_mul(self.tiles_a_word(queued)).max(Self::DEAL_LATE_LEAST)
             }

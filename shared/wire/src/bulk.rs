@@ -51,7 +51,7 @@ impl PackProgress {
     }
 }
 
-/// Worker to master: the raw pixels of `tiles` follow, one tile after the other.
+/// Worker to master: the pixels of `tiles` follow as each entry says, one tile after the other.
 #[derive(Clone, Debug, PartialEq, Eq, Encode, Decode)]
 pub struct BatchHeader {
     /// Of which frame.
@@ -67,12 +67,51 @@ pub struct TileEntry {
     pub tile: TileId,
     /// As it was assigned.
     pub attempt: Attempt,
-    /// Raw bytes, exactly the tile's pixels in the frame's format, at most [`limits::TILE_BYTES`].
+    /// Bytes that follow for it, 1..=[`limits::TILE_BYTES`].
     pub length: u32,
-    /// Wall time of rendering, in microseconds, at most `u32::MAX` (71 minutes).
+    /// What they are: with `Raw`, `length` pixel bytes.
+    pub coding: TileCoding,
+    /// Bytes of the tile's pixels in the frame's format, once decoded: at most [`limits::TILE_BYTES`].
+    pub pixel_bytes: u32,
+    /// From when it could have been begun, all before it rendered, to its beginning: time without work is not the device's. In microseconds,
+    /// as all that follow, at most `u32::MAX` (71 minutes).
+    pub idle_us: u32,
+    /// Wall time of rendering.
     pub render_us: u32,
+    /// Of coding.
+    pub coding_us: u32,
+    /// From then until it was handed to the transport.
+    pub waited_us: u32,
     /// Rays traced for it.
     pub rays: Rays,
+}
+
+impl TileEntry {
+    /// A first attempt at tile 0, of `length` raw bytes; nothing else is known of it.
+    pub fn raw(length: u32) -> Self {
+        Self {
+            tile: TileId(0),
+            attempt: Attempt(0),
+            length,
+            coding: TileCoding::Raw,
+            pixel_bytes: length,
+            idle_us: 0,
+            render_us: 0,
+            coding_us: 0,
+            waited_us: 0,
+            rays: Rays::default(),
+        }
+    }
+}
+
+/// What the bytes of a tile on the wire are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Encode, Decode)]
+pub enum TileCoding {
+    /// The pixels themselves.
+    #[default]
+    Raw,
+    /// Differences of neighbours, packed; see `crate::pixels`.
+    Packed,
 }
 
 // `limits::HEADER_BYTES` counts on this.
@@ -108,11 +147,13 @@ impl BatchHeader {
         if self.tiles.is_empty() || self.tiles.len() > limits::TILES as usize {
             return Err(format!("a batch of {} tiles: must be in 1..={}", self.tiles.len(), limits::TILES));
         }
-        match self.tiles.iter().find(|t| t.length == 0 || u64::from(t.length) > limits::TILE_BYTES) {
-            Some(t) => {
-                let most = limits::TILE_BYTES;
-                Err(format!("tile {} of {} bytes: must be in 1..={most}", t.tile.0, t.length))
-            }
+        let is_out = |bytes: u32| bytes == 0 || u64::from(bytes) > limits::TILE_BYTES;
+        if let Some(t) = self.tiles.iter().find(|t| is_out(t.length) || is_out(t.pixel_bytes)) {
+            let (most, bytes) = (limits::TILE_BYTES, t.length.max(t.pixel_bytes));
+            return Err(format!("tile {} of {bytes} bytes: must be in 1..={most}", t.tile.0));
+        }
+        match self.tiles.iter().find(|t| t.coding == TileCoding::Raw && t.length != t.pixel_bytes) {
+            Some(t) => Err(format!("raw tile {} of {} bytes has {}", t.tile.0, t.pixel_bytes, t.length)),
             None => Ok(()),
         }
     }

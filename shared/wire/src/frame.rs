@@ -33,6 +33,35 @@ pub struct Frame {
     pub format: PixelFormat,
     /// When rendered tiles are sent back.
     pub returns: ReturnMode,
+    /// How their pixels travel.
+    pub coding: Coding,
+}
+
+/// How pixels travel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Encode, Decode)]
+pub enum Coding {
+    /// As they are.
+    #[default]
+    Raw,
+    /// Packed without loss; tiles that do not become smaller travel raw.
+    Lossless,
+    /// Colours are rounded so that none is off by more than one code of 8 bits (16 bits: 257), then as `Lossless`: nobody sees it, and less
+    /// travels. It is the rounded picture's hash that counts. Layers are not rounded.
+    Rounded,
+}
+
+impl Coding {
+    /// Every coding.
+    pub const ALL: [Self; 3] = [Self::Raw, Self::Lossless, Self::Rounded];
+
+    /// The name on the command line and in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Raw => "raw",
+            Self::Lossless => "lossless",
+            Self::Rounded => "rounded",
+        }
+    }
 }
 
 /// How the samples of a frame are taken.
@@ -328,6 +357,7 @@ mod tests {
             features: Features::default(),
             format: PixelFormat::Rgba8,
             returns: ReturnMode::AtEnd,
+            coding: Coding::Raw,
         }
     }
 

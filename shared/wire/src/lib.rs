@@ -24,12 +24,14 @@ mod ticket;
 mod version;
 
 pub use balance::Balance;
-pub use bulk::{BatchHeader, PackChunk, PackProgress, Rays, TileEntry};
+pub use bulk::{BatchHeader, PackChunk, PackProgress, Rays, TileCoding, TileEntry};
 pub use client::{
     ClassSummary, DifferenceSummary, FrameFailure, FrameSummary, FromClient, ToClient, WorkerSummary,
 };
 pub use error::{AbortCode, PackRefusal, Refusal, plain_text};
-pub use frame::{Adaptive, Camera, Features, Frame, FrameError, PixelFormat, ReturnMode, Sampler, Sampling};
+pub use frame::{
+    Adaptive, Camera, Coding, Features, Frame, FrameError, PixelFormat, ReturnMode, Sampler, Sampling,
+};
 pub use grid::{Rect, TileGrid};
 pub use ids::{Attempt, FrameId, PackId, TileId, WorkerId};
 pub use join::{Fingerprint, JoinString, JoinStringError, Token};

@@ -10,9 +10,12 @@ pub const HELLO_BYTES: usize = 4 << 10;
 /// [`TILES`] tiles: 65,536 x 4 bytes decoded.
 pub const CONTROL_BYTES: usize = 512 << 10;
 
-/// Encoded and decoded bytes of a header on a bulk pipe. The largest announces [`TILES`] tiles of 48 bytes
+/// Encoded and decoded bytes of a header on a bulk pipe. The largest announces [`TILES`] tiles of 72 bytes
 /// each in memory.
-pub const HEADER_BYTES: usize = 4 << 20;
+pub const HEADER_BYTES: usize = 8 << 20;
+
+/// Frames that a worker has begun and not been told the end of: two for each of a pipeline's stages, and as many that are given up.
+pub const FRAMES: usize = 8;
 
 /// Encoded bytes of a [`crate::PackChunk`]: a hash and two numbers of at most 9 bytes each.
 pub const CHUNK_HEADER_BYTES: usize = 64;

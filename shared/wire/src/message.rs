@@ -113,6 +113,13 @@ pub enum ToMaster {
         /// How many since the last such message, >= 1.
         tiles: u32,
     },
+    /// Answer to `Cancel`: so many of its tiles will neither be rendered to the end nor counted in `Rendered`. The others were, before.
+    Cancelled {
+        /// Which frame.
+        frame: FrameId,
+        /// How many, perhaps none.
+        tiles: u32,
+    },
     /// The worker is going away; what it has not returned goes to others. Sent once, nothing follows.
     Leave,
     /// The worker cuts the connection.
@@ -143,14 +150,22 @@ pub enum ToWorker {
         /// Its bytes.
         length: u64,
     },
-    /// A frame begins; the one before it, if any, is over.
+    /// A frame begins. Those before it go on until their `EndFrame`; their tiles are rendered first.
     Frame(Frame),
-    /// Tiles of the current frame for this worker, to be rendered in this order.
+    /// Tiles of a frame that has begun for this worker, to be rendered in this order.
     Assign {
         /// Which frame.
         frame: FrameId,
         /// How often these tiles had been handed out before.
         attempt: Attempt,
+        /// Which tiles, at least one.
+        tiles: Vec<TileId>,
+    },
+    /// Nobody waits for these tiles any more: others have rendered them. Those that are not finished are not finished, those that are not
+    /// handed to the transport are dropped. Answered by `Cancelled`.
+    Cancel {
+        /// Which frame.
+        frame: FrameId,
         /// Which tiles, at least one.
         tiles: Vec<TileId>,
     },

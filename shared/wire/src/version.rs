@@ -17,11 +17,14 @@ pub enum Version {
     V3 = 3,
     /// `Frame` says how its samples are taken: by which sampler, to which weight, and whether adaptively.
     V4 = 4,
+    /// Several frames at a time; `Cancel` and `Cancelled`; pixels may be packed (`Frame::coding`, `TileEntry`), and each tile says where its
+    /// time went; five balancings more.
+    V5 = 5,
 }
 
 impl Version {
     /// All versions that this build speaks, newest first.
-    pub const SUPPORTED: &'static [Self] = &[Self::V4];
+    pub const SUPPORTED: &'static [Self] = &[Self::V5];
 
     /// The number on the wire.
     pub const fn number(self) -> u16 {
@@ -50,12 +53,12 @@ mod tests {
 
     #[test]
     fn an_older_a_newer_and_a_disjoint_peer() {
-        assert_eq!(Version::common(&[4]), Some(Version::V4));
-        assert_eq!(Version::common(&[7, 5, 4, 1]), Some(Version::V4), "a newer one that still speaks ours");
-        assert_eq!(Version::common(&[3, 2, 1]), None, "an older one");
-        assert_eq!(Version::common(&[5, 6]), None, "a newer one");
+        assert_eq!(Version::common(&[5]), Some(Version::V5));
+        assert_eq!(Version::common(&[7, 6, 5, 1]), Some(Version::V5), "a newer one that still speaks ours");
+        assert_eq!(Version::common(&[4, 3, 2, 1]), None, "an older one");
+        assert_eq!(Version::common(&[6, 7]), None, "a newer one");
         assert_eq!(Version::common(&[]), None);
-        assert_eq!(Version::from_number(4), Some(Version::V4));
-        assert_eq!([0, 1, 2, 3, 5].map(Version::from_number), [None; 5]);
+        assert_eq!(Version::from_number(5), Some(Version::V5));
+        assert_eq!([0, 1, 2, 3, 4, 6].map(Version::from_number), [None; 6]);
     }
 }

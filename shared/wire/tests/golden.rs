@@ -1,4 +1,4 @@
-//! The bytes of every message in version 4. A change here is a change of the protocol: add a `Version`, keep
+//! The bytes of every message in version 5. A change here is a change of the protocol: add a `Version`, keep
 //! the old lines of versions that are still spoken.
 
 mod samples;
@@ -26,7 +26,7 @@ fn every_message_keeps_its_bytes() {
     line(&mut text, "bulk, pack chunk", &samples::chunk());
     line(&mut text, "bulk, batch", &samples::batch());
     line(&mut text, "stdin, ticket", &samples::ticket());
-    let golden = include_str!("golden_v4.txt");
+    let golden = include_str!("golden_v5.txt");
     for (now, then) in text.lines().zip(golden.lines()) {
         assert_eq!(now, then);
     }
@@ -53,9 +53,12 @@ const HELLO_V1: &str = "000101027730fd00000000020000000803637075056370752d31";
 const HELLO_V2: &str =
     "0001025c5c5c5c5c5c5c5c5c5c5c5c5c5c5c5c02773000fd00000000020000000803637075056370752d31";
 
-/// And one of version 3, whose `Hello` is that of version 4.
+/// And one of version 3, whose `Hello` is that of versions 4 and 5.
 const HELLO_V3: &str =
     "0001035c5c5c5c5c5c5c5c5c5c5c5c5c5c5c5c02773000fd00000000020000000803637075056370752d31fc404b4c00016e";
+
+const HELLO_V4: &str =
+    "0001045c5c5c5c5c5c5c5c5c5c5c5c5c5c5c5c02773000fd00000000020000000803637075056370752d31fc404b4c00016e";
 
 fn bytes(hexadecimal: &str) -> Vec<u8> {
     let pairs = hexadecimal.as_bytes().chunks(2).map(|pair| std::str::from_utf8(pair).expect("ASCII"));
@@ -76,16 +79,16 @@ fn body(message: &impl Message) -> Vec<u8> {
 #[test]
 fn peers_of_other_versions_part_with_a_reason() {
     let refused = Refusal::Version { supported: Version::supported_numbers() };
-    for older in [HELLO_V1, HELLO_V2, HELLO_V3] {
+    for older in [HELLO_V1, HELLO_V2, HELLO_V3, HELLO_V4] {
         assert_eq!(codec::decode_hello(&bytes(older)), Err(refused.clone()), "an older one");
     }
-    let own = hello(&[4]);
+    let own = hello(&[5]);
     assert_eq!(codec::decode_hello(&body(&ToMaster::Hello(own.clone()))), Ok(own));
-    let both = hello(&[5, 4]);
+    let both = hello(&[6, 5]);
     let mut newer = body(&ToMaster::Hello(both.clone()));
-    newer.extend(b"a field of version 5");
+    newer.extend(b"a field of version 6");
     assert_eq!(codec::decode_hello(&newer), Ok(both), "a newer one that speaks ours");
-    let mut disjoint = body(&ToMaster::Hello(hello(&[5])));
+    let mut disjoint = body(&ToMaster::Hello(hello(&[6])));
     // Nothing behind the list is read.
     disjoint.truncate(4);
     assert_eq!(codec::decode_hello(&disjoint), Err(refused.clone()), "a newer one that does not");
@@ -95,7 +98,7 @@ fn peers_of_other_versions_part_with_a_reason() {
 
 #[test]
 fn before_the_answer_a_worker_and_a_client_look_alike() {
-    let own = hello(&[4]);
+    let own = hello(&[5]);
     assert_eq!(body(&ToMaster::Hello(own.clone())), body(&FromClient::Hello(own)));
     for (_, message) in samples::to_worker() {
         if let ToWorker::Refuse(refusal) = message {
@@ -114,13 +117,13 @@ fn what_is_no_hello_is_refused_with_a_reason() {
     malformed(&[]);
     malformed(&[0xff; 40]);
     assert_eq!(malformed(&[0; 5000]), "a message of 5000 bytes: at most 4096 are allowed here");
-    let own = body(&ToMaster::Hello(hello(&[4])));
+    let own = body(&ToMaster::Hello(hello(&[5])));
     for end in 0..own.len() {
         malformed(&own[..end]);
     }
-    let mut wild = hello(&[4]);
+    let mut wild = hello(&[5]);
     wild.name = "\x1b[2J".into();
     assert!(malformed(&body(&ToMaster::Hello(wild))).starts_with("name must have"));
-    let many = hello(&[4; limits::VERSIONS + 1]);
+    let many = hello(&[5; limits::VERSIONS + 1]);
     assert_eq!(malformed(&body(&ToMaster::Hello(many))), "17 versions, at most 16 are allowed");
 }

@@ -134,7 +134,12 @@ proptest! {
             tile: TileId(tile),
             attempt: Attempt(attempt),
             length,
+            coding: TileCoding::Packed,
+            pixel_bytes: attempt,
+            idle_us: tile,
             render_us: length,
+            coding_us: attempt,
+            waited_us: tile,
             rays: Rays { primary, ..Rays::default() },
         };
         let batch = BatchHeader { frame: FrameId(frame), tiles: tiles.iter().map(entry).collect() };
@@ -203,7 +208,12 @@ fn the_largest_honest_messages_fit() {
         tile: TileId(tile),
         attempt: Attempt(u32::MAX),
         length: u32::MAX,
+        coding: TileCoding::Packed,
+        pixel_bytes: u32::MAX,
+        idle_us: u32::MAX,
         render_us: u32::MAX,
+        coding_us: u32::MAX,
+        waited_us: u32::MAX,
         rays,
     };
     let tiles = (0..limits::TILES).map(entry).collect();

@@ -15,7 +15,7 @@ use tessera_kdtree::Kernel;
 use tessera_pack::{Light, LightKind, Material, Pack, PackInput, PackOptions, build_pack};
 use tessera_whitted::Renderer;
 use tessera_wire::{
-    Attempt, Camera, Features, Frame, FrameId, PackId, PixelFormat, Rays, Rect, ReturnMode, TileId,
+    Attempt, Camera, Coding, Features, Frame, FrameId, PackId, PixelFormat, Rays, Rect, ReturnMode, TileId,
 };
 
 /// Quads along each side of the hills.
@@ -89,6 +89,7 @@ fn task(pack: &Pack, side: u32) -> Option<RenderTask> {
         features: Features::default(),
         format: PixelFormat::Rgba8,
         returns: ReturnMode::AtEnd,
+        coding: Coding::Raw,
     };
     let rect = Rect { x: 0, y: 0, width: side, height: side };
     Some(RenderTask { frame, tile: TileId(0), attempt: Attempt(0), rect })

@@ -41,6 +41,7 @@ fn frame(id: u64, returns: ReturnMode) -> Frame {
         features: Features::default(),
         format: PixelFormat::Rgba8,
         returns,
+        coding: Coding::Raw,
     }
 }
 
@@ -55,7 +56,7 @@ fn joined(memory: Option<u64>) -> Session {
 fn joined_ahead(memory: Option<u64>, ahead: usize) -> Session {
     let mut s = Session::start(hello(), memory, ahead, Duration::ZERO);
     assert_eq!(actions(&mut s), [Action::Send(ToMaster::Hello(hello()))]);
-    s.message(ToWorker::Welcome { version: 4, worker: WorkerId(0) });
+    s.message(ToWorker::Welcome { version: 5, worker: WorkerId(0) });
     assert_eq!((actions(&mut s), s.deadline()), (vec![], None));
     s
 }
@@ -89,7 +90,7 @@ fn run(s: &mut Session) -> String {
             Action::Render(task) => {
                 let pixels = vec![0; (task.rect.width * task.rect.height * 4) as usize];
                 let time = Duration::from_millis(1);
-                s.rendered(RenderedTile { task, pixels, time, rays: Rays::default() });
+                s.rendered(RenderedTile::new(task, pixels, time, Rays::default()));
             }
             Action::Send(ToMaster::Rendered { .. }) => log.push('r'),
             Action::Return(batch) => {
@@ -139,7 +140,7 @@ fn rendering_waits_for_a_slow_transport() {
             Action::Render(task) => {
                 renders += 1;
                 let rays = Rays::default();
-                s.rendered(RenderedTile { task, pixels: vec![0; 16], time: Duration::ZERO, rays });
+                s.rendered(RenderedTile::new(task, vec![0; 16], Duration::ZERO, rays));
             }
             Action::Return(_) => returns += 1,
             _ => {}
@@ -163,7 +164,7 @@ fn the_end_of_a_frame_drops_what_is_left_of_it() {
     // It may have been finished before it was stopped.
     let mut finished = s.clone();
     let (time, rays) = (Duration::ZERO, Rays::default());
-    finished.rendered(RenderedTile { task, pixels: vec![0; 16], time, rays });
+    finished.rendered(RenderedTile::new(task, vec![0; 16], time, rays));
     assert_eq!(run(&mut finished), "r1");
     s.rendering_stopped();
     assert_eq!(run(&mut s), "r1");
@@ -176,7 +177,7 @@ fn a_drained_worker_returns_the_tile_in_hand_and_what_it_has_kept_and_leaves() {
     let leaves = [Action::Send(ToMaster::Leave), Action::Over(Ending::Left)];
     let finish = |s: &mut Session, task| {
         let (time, rays) = (Duration::ZERO, Rays::default());
-        s.rendered(RenderedTile { task, pixels: vec![0; 16], time, rays });
+        s.rendered(RenderedTile::new(task, vec![0; 16], time, rays));
     };
     for returns in [ReturnMode::AtEnd, ReturnMode::Batches { min_bytes: 1000 }] {
         let mut s = loaded();
@@ -235,7 +236,7 @@ fn tasks(s: &mut Session) -> Vec<RenderTask> {
 
 fn finish(s: &mut Session, task: RenderTask) {
     let (time, rays) = (Duration::ZERO, Rays::default());
-    s.rendered(RenderedTile { task, pixels: vec![0; 16], time, rays });
+    s.rendered(RenderedTile::new(task, vec![0; 16], time, rays));
 }
 
 fn tiles_of(batch: &Batch) -> Vec<u32> {
@@ -455,7 +456,7 @@ fn endings() {
     assign(&mut s, 1, [0, 1]);
     let Some(Action::Render(first)) = s.poll() else { panic!("nothing to render") };
     let (time, rays) = (Duration::ZERO, Rays::default());
-    s.rendered(RenderedTile { task: first, pixels: vec![0; 16], time, rays });
+    s.rendered(RenderedTile::new(first, vec![0; 16], time, rays));
     assert!(matches!(actions(&mut s)[..], [Action::Render(_)]));
     s.drain();
     assert_eq!(actions(&mut s), []);

@@ -257,6 +257,7 @@ pub(in crate::commands) fn whole_frame(
         format: PixelFormat::Rgba8,
         balance: Balance::default(),
         mix: false,
+        coding: None,
     };
     let whole = job.to_wire(FrameId(1), tessera_wire::PackId(pack.id().0));
     whole.check().map_err(CommandError::usage)?;

@@ -102,6 +102,7 @@ pub fn frame_of(pack: &Pack, view: &View, format: PixelFormat, seed: u64) -> Res
         format,
         balance: Balance::default(),
         mix: false,
+        coding: None,
     };
     let frame = job.to_wire(FrameId(1), tessera_wire::PackId(pack.id().0));
     frame.check().map_err(|e| e.to_string())?;

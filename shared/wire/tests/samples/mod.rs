@@ -24,6 +24,7 @@ pub fn frame() -> Frame {
         features: Features { shadows: true, reflection: false, refraction: true },
         format: PixelFormat::Rgba8,
         returns: ReturnMode::Batches { min_bytes: 262_144 },
+        coding: Coding::Lossless,
     }
 }
 
@@ -31,7 +32,7 @@ pub fn to_master() -> Vec<(&'static str, ToMaster)> {
     let detail = || "d".to_string();
     let rejected = |reason| ToMaster::PackRejected { pack: PACK, reason };
     let hello = |role| {
-        ToMaster::Hello(Hello { versions: vec![4], token: Token([0x5C; 16]), name: "w0".into(), role })
+        ToMaster::Hello(Hello { versions: vec![5], token: Token([0x5C; 16]), name: "w0".into(), role })
     };
     let abilities = Abilities {
         memory: 1 << 33,
@@ -52,6 +53,7 @@ pub fn to_master() -> Vec<(&'static str, ToMaster)> {
         ("rejected: invalid", rejected(PackRefusal::Invalid { detail: detail() })),
         ("rejected: device", rejected(PackRefusal::CannotHold { needs: 1000, has: 100, what: "w".into() })),
         ("rendered", ToMaster::Rendered { frame: FrameId(7), tiles: 1 }),
+        ("cancelled", ToMaster::Cancelled { frame: FrameId(7), tiles: 1 }),
         ("leave", ToMaster::Leave),
         ("abort", ToMaster::Abort { code: AbortCode::Internal, detail: detail() }),
     ]
@@ -63,8 +65,8 @@ pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
         Sampling { sampler: Sampler::LowDiscrepancy, cutoff: 0.25, adaptive: Some(Adaptive { error: 0.5 }) };
     let tiles = vec![TileId(0), TileId(250), TileId(251), TileId(65_535)];
     vec![
-        ("welcome", ToWorker::Welcome { version: 4, worker: WorkerId(3) }),
-        ("refuse: version", ToWorker::Refuse(Refusal::Version { supported: vec![4] })),
+        ("welcome", ToWorker::Welcome { version: 5, worker: WorkerId(3) }),
+        ("refuse: version", ToWorker::Refuse(Refusal::Version { supported: vec![5] })),
         ("refuse: class", ToWorker::Refuse(Refusal::NumericClass { expected: "cpu-1".into() })),
         ("refuse: malformed", ToWorker::Refuse(Refusal::Malformed { detail: "d".into() })),
         ("refuse: token", ToWorker::Refuse(Refusal::Token)),
@@ -74,8 +76,11 @@ pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
         ("pack offer", ToWorker::PackOffer { pack: PACK, length: 5_000_000_000 }),
         ("frame", ToWorker::Frame(frame())),
         ("frame: at end", ToWorker::Frame(Frame { returns: ReturnMode::AtEnd, ..frame() })),
+        ("frame: raw", ToWorker::Frame(Frame { coding: Coding::Raw, ..frame() })),
+        ("frame: rounded", ToWorker::Frame(Frame { coding: Coding::Rounded, ..frame() })),
         ("frame: adaptive", ToWorker::Frame(Frame { sampling: adaptive, ..frame() })),
         ("assign", ToWorker::Assign { frame: FrameId(7), attempt: Attempt(1), tiles }),
+        ("cancel", ToWorker::Cancel { frame: FrameId(7), tiles: vec![TileId(0), TileId(65_535)] }),
         ("end frame", ToWorker::EndFrame { frame: FrameId(7) }),
         ("dismiss", ToWorker::Dismiss),
         ("abort: done", abort(AbortCode::Done)),
@@ -92,7 +97,7 @@ pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
 }
 
 pub fn from_client() -> Vec<(&'static str, FromClient)> {
-    let hello = Hello { versions: vec![4], token: Token([0x5C; 16]), name: "c0".into(), role: Role::Client };
+    let hello = Hello { versions: vec![5], token: Token([0x5C; 16]), name: "c0".into(), role: Role::Client };
     let render = |balance| FromClient::Render { frame: frame(), balance, mix: false };
     vec![
         ("hello", FromClient::Hello(hello)),
@@ -101,6 +106,11 @@ pub fn from_client() -> Vec<(&'static str, FromClient)> {
         ("render: static", render(Balance::Static)),
         ("render: paper dynamic", render(Balance::PaperDynamic)),
         ("render: dynamic", render(Balance::Dynamic)),
+        ("render: hilbert", render(Balance::Hilbert)),
+        ("render: weighted", render(Balance::Weighted)),
+        ("render: staggered", render(Balance::Staggered)),
+        ("render: steal", render(Balance::Steal)),
+        ("render: auto", render(Balance::Auto)),
         ("render: mixed", FromClient::Render { frame: frame(), balance: Balance::Dynamic, mix: true }),
         ("abort", FromClient::Abort { code: AbortCode::Done, detail: "d".into() }),
     ]
@@ -185,10 +195,16 @@ pub fn batch() -> BatchHeader {
         tile: TileId(tile),
         attempt: Attempt(attempt),
         length: 65_536,
+        coding: TileCoding::Raw,
+        pixel_bytes: 65_536,
+        idle_us: 17,
         render_us: 12_345,
+        coding_us: 230,
+        waited_us: 300,
         rays,
     };
-    BatchHeader { frame: FrameId(7), tiles: vec![entry(0, 0), entry(63, 1)] }
+    let packed = TileEntry { coding: TileCoding::Packed, length: 5_000, ..entry(63, 1) };
+    BatchHeader { frame: FrameId(7), tiles: vec![entry(0, 0), packed] }
 }
 
 pub fn ticket() -> LocalTicket {

@@ -213,7 +213,7 @@ impl Tiles {
         while self.waiting.front().is_some_and(|tile| tile.is_submitted() && tile.pieces == 0) {
             let Some(Waiting { task, pixels, rays, time, .. }) = self.waiting.pop_front() else { break };
             self.first += 1;
-            finished.push(RenderedTile { task, pixels, time, rays });
+            finished.push(RenderedTile::new(task, pixels, time, rays));
         }
         Ok(finished)
     }

@@ -211,6 +211,7 @@ impl Studio<'_> {
             format: PixelFormat::Layers,
             balance: Balance::default(),
             mix: false,
+            coding: None,
         };
         let hands = match (setting.by, &self.gpu) {
             (By::Cpu(kernel), _) => Hands::Cpu(kernel),

@@ -43,6 +43,7 @@ fn job(camera: LocalCamera, side: u32, tile: u32, balance: Balance) -> FrameJob 
         format: PixelFormat::Rgba16,
         balance,
         mix: false,
+        coding: None,
     }
 }
 

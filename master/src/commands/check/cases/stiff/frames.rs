@@ -55,6 +55,7 @@ pub fn job(pack: &Pack, [width, height]: [u32; 2], tile: u32, format: PixelForma
         format,
         balance: Balance::Dynamic,
         mix: false,
+        coding: None,
     }
 }
 

@@ -85,6 +85,7 @@ pub fn corner_job(pack: &Pack, tile: u32, cutoff: f32, balance: Balance) -> Fram
         format: PixelFormat::Rgba8,
         balance,
         mix: false,
+        coding: None,
     }
 }
 

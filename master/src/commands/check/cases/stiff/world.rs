@@ -93,6 +93,7 @@ fn job(trial: &Trial<'_>) -> FrameJob {
         format: PixelFormat::Rgba8,
         balance: trial.balance,
         mix: false,
+        coding: None,
     }
 }
 
@@ -333,7 +334,7 @@ impl<'a> World<'a> {
                     self.schedule(self.now + Duration::from_micros(100), Happening::Stopped(worker));
                 }
             }
-            Action::Return(Batch { header, pixels }) => {
+            Action::Return(Batch { header, pixels, .. }) => {
                 for (entry, pixels) in header.tiles.into_iter().zip(pixels) {
                     let at = self.arrival(worker, 2);
                     self.schedule(at, Happening::Tile(worker, header.frame, entry, pixels));
@@ -374,7 +375,7 @@ fn id(worker: usize) -> WorkerId {
 fn rendered(task: RenderTask, time: Duration) -> RenderedTile {
     let pixels = pixels(task.rect);
     let rays = Rays { primary: u64::from(task.rect.width) * u64::from(task.rect.height), ..Rays::default() };
-    RenderedTile { task, pixels, time, rays }
+    RenderedTile::new(task, pixels, time, rays)
 }
 
 /// Crews with one or two workers that are a thousand times slower, and rows and columns of tiles: frames that are over before a slow worker
@@ -399,9 +400,9 @@ const DELAY: Duration = Duration::from_micros(500);
 /// `master/src/dispatch/pace.rs` says why.
 fn patience(balance: Balance, tile: Duration, dealt: u32) -> Duration {
     match balance {
-        Balance::PaperDynamic | Balance::Dynamic => (2 * tile).max(Duration::from_millis(500)),
-        Balance::Static => (4 * tile).max(Duration::from_secs(5)),
-        Balance::PaperStatic => (4 * tile * dealt).max(Duration::from_secs(5)),
+        balance if !balance.is_dealt() => (2 * tile).max(Duration::from_millis(500)),
+        Balance::PaperStatic | Balance::Staggered => (4 * tile * dealt).max(Duration::from_secs(5)),
+        _ => (4 * tile).max(Duration::from_secs(5)),
     }
 }
 
@@ -424,8 +425,8 @@ pub fn unequal(slowness: &[u32], tiles: [u32; 2], balance: Balance, seed: u64) -
     let slow = count - fast.len() as u32;
     // The dynamic balancings let a worker hold three tiles; the others deal all. A dealt share is off the even one by a row at most.
     let held = match balance {
-        Balance::PaperDynamic | Balance::Dynamic => 3,
-        Balance::PaperStatic | Balance::Static => total.div_ceil(count) + tiles[1],
+        balance if !balance.is_dealt() => 3,
+        _ => total.div_ceil(count) + tiles[1],
     };
     // A tile that is taken over costs its word's way there and back besides, and the last ones come one by one.
     let again = (tile + 4 * DELAY) * (held * slow).div_ceil(fast.len() as u32) + 2 * tile;
