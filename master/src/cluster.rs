@@ -264,6 +264,7 @@ impl Cluster {
         mut progress: impl FnMut(Progress<'_>),
     ) -> Result<FrameResult, RenderError> {
         let pack = self.pack.ok_or(RenderError::NoPack)?;
+        self.measure_links();
         self.coordinator.begin(job, self.now())?;
         let outcome = self.run(job, None, &mut progress).await?;
         Ok(self.result(pack, outcome))
@@ -279,11 +280,19 @@ impl Cluster {
         mut progress: impl FnMut(Progress<'_>),
     ) -> Result<FrameResult<()>, RenderError> {
         let pack = self.pack.ok_or(RenderError::NoPack)?;
+        self.measure_links();
         self.coordinator.begin_rows(job, self.now())?;
         let outcome = self.run(job, Some(stream), &mut progress).await?;
         let (result, rest) = self.result(pack, outcome).with_image(());
         stream.push(rest.into_rows()).await?;
         Ok(result)
+    }
+
+    /// Tells the coordinator what round trips take now.
+    fn measure_links(&mut self) {
+        for (&worker, line) in &self.lines {
+            self.coordinator.round_trip(worker, line.round_trip());
+        }
     }
 
     /// Sees the frame that has begun to its end.

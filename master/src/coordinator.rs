@@ -7,7 +7,7 @@ mod active;
 
 use crate::{
     ClassDifference, ClassPart, FrameBuffer, FrameJob, TileRecord, Timings, WorkerReport,
-    dispatch::{Assignment, fastest},
+    dispatch::{Assignment, Knowledge, fastest, tile_side},
     image::NoRoom,
     session::{Session, Step},
 };
@@ -141,6 +141,8 @@ pub struct Coordinator {
     /// What frames before have used up of the time that workers may be silent (see [`Dispatch::worn`]).
     worn: BTreeMap<WorkerId, f64>,
     frames_begun: u64,
+    /// What frames before have shown.
+    known: Knowledge,
     /// How long a frame waits for a worker when it has none.
     patience: Duration,
     outputs: VecDeque<Output>,
@@ -167,6 +169,13 @@ impl Coordinator {
     /// The same, for a cluster that workers join at any time: a frame whose last worker is lost waits for one so long before it fails.
     pub fn with_patience(self, patience: Duration) -> Self {
         Self { patience, ..self }
+    }
+
+    /// A round trip to `worker` takes so long now.
+    pub fn round_trip(&mut self, worker: WorkerId, time: Duration) {
+        if self.name(worker).is_some() {
+            self.known.round_trip(worker, time);
+        }
     }
 
     /// What to do next; to be called until `None` after every input.
@@ -246,6 +255,9 @@ impl Coordinator {
         let Some(active) = self.frame.as_mut().filter(|active| active.frame.frame == frame) else {
             return self.out_of_frame(worker, frame, now);
         };
+        if let Some((bytes, time)) = active.came(worker, wire_bytes, now) {
+            self.known.transfer(bytes, time);
+        }
         match active.tile(worker, entry, pixels, wire_bytes, now) {
             Ok(true) => {
                 while let Some(rows) = active.due_rows() {
@@ -344,10 +356,12 @@ impl Coordinator {
 
     fn begin_as(&mut self, job: &FrameJob, gives_rows: bool, now: Duration) -> Result<FrameId, BeginError> {
         let id = FrameId(self.frames_begun + 1);
+        let (holders, mean) = (self.holders().count(), self.known.mean_tile());
+        let side = || tile_side(job.width, job.height, holders, mean);
+        let job = &FrameJob { tile: if job.tile == 0 { side() } else { job.tile }, ..job.clone() };
         let frame = job.to_wire(id, self.pack.map_or(PackId([0; 32]), |offer| offer.pack));
         let mut active = Active::new(frame, job, gives_rows, now)?;
         self.frames_begun += 1;
-        let holders = self.holders().count();
         let class = self.fastest_class().filter(|_| !job.mix);
         let workers = self.crew(class.as_deref());
         let takes_part = |w: &WorkerId| workers.contains(w) || self.rejection(*w).is_some();
@@ -370,7 +384,7 @@ impl Coordinator {
     /// Gives the current frame to `workers`.
     fn assemble(&mut self, class: Option<String>, workers: Vec<WorkerId>, now: Duration) {
         let Some(active) = &mut self.frame else { return };
-        let assignments = active.assemble(class, &workers, now);
+        let assignments = active.assemble(class, &workers, &self.known, now);
         for (&worker, &worn) in &self.worn {
             active.dispatch.wear(worker, worn);
         }
@@ -445,6 +459,7 @@ impl Coordinator {
     pub fn finish(&mut self, now: Duration) -> Option<Outcome> {
         let active = self.frame.take()?;
         self.worn.extend(active.dispatch.worn(now));
+        active.teach(&mut self.known);
         let frame = active.frame.frame;
         for &(worker, ref report) in &active.reports {
             if self.name(worker).is_some() && report.rejected.is_none() {
@@ -529,6 +544,7 @@ impl Coordinator {
                 Step::Over { code, reason } => {
                     self.sessions.remove(&worker);
                     self.worn.remove(&worker);
+                    self.known.forget(worker);
                     self.outputs.push_back(Output::Close(worker, code));
                     self.over(worker, reason, now);
                 }
@@ -548,6 +564,7 @@ impl Coordinator {
         match active.dispatch.rendered(worker, tiles, now) {
             Ok(assignments) => {
                 active.last_rendered = now;
+                active.word(worker, now);
                 active.due.insert(worker, now + limits::RETURN_TIMEOUT);
                 self.assign(assignments);
             }

@@ -15,7 +15,7 @@ pub struct FrameJob {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Side of a tile.
+    /// Side of a tile; 0: as suits the workers and what tiles have cost.
     pub tile: u32,
     /// Samples a pixel; with adaptive sampling the most that one gets.
     pub samples: u32,
@@ -69,9 +69,16 @@ impl FrameJob {
 }
 
 impl FrameJob {
+    /// Of its image; the job is in range.
+    pub(crate) fn image_bytes(&self) -> u64 {
+        u64::from(self.width) * u64::from(self.height) * self.format.bytes_per_pixel() as u64
+    }
+
     /// Of its largest tile; the job is in range.
     pub(crate) fn tile_bytes(&self) -> u64 {
-        let side = |length: u32| u64::from(length.min(self.tile));
+        // What is chosen for 0 is smaller.
+        let tile = if self.tile == 0 { 128 } else { self.tile };
+        let side = |length: u32| u64::from(length.min(tile));
         side(self.width) * side(self.height) * self.format.bytes_per_pixel() as u64
     }
 

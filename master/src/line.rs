@@ -111,6 +111,11 @@ impl Line {
         self.control.is_none()
     }
 
+    /// What a round trip takes, as the transport has measured it; none within this process.
+    pub(crate) fn round_trip(&self) -> Duration {
+        self.connection.as_ref().map_or(Duration::ZERO, quinn::Connection::rtt)
+    }
+
     /// Bytes of UDP payload sent and received, until it is closed.
     pub(crate) fn udp_bytes(&self) -> (u64, u64) {
         self.connection.as_ref().map_or((0, 0), |connection| {

@@ -468,6 +468,10 @@ impl Active {
         let full = self.batch.pixels.len() >= limits::TILES as usize;
         let (say, go) = match self.frame.returns {
             ReturnMode::AtEnd => (list_is_empty, list_is_empty || full),
+            ReturnMode::Every { tiles } => {
+                let is_due = list_is_empty || full || self.batch.pixels.len() >= tiles as usize;
+                (is_due, is_due)
+            }
             ReturnMode::Batches { min_bytes } => {
                 (true, list_is_empty || full || self.batch_bytes >= u64::from(min_bytes))
             }

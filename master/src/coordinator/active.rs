@@ -4,7 +4,7 @@ use super::{BeginError, Outcome};
 use crate::{
     ClassDifference, ClassPart, FrameJob, TileRecord, Timings, WorkerReport,
     bands::{Canvas, Fault},
-    dispatch::{Assignment, Check, Checks, Dispatch, Violation, choose},
+    dispatch::{Assignment, Check, Checks, Dispatch, Knowledge, Seen, Shown, View, Violation, choose, plan},
     image::NoRoom,
 };
 use std::{
@@ -35,6 +35,10 @@ pub(super) struct Active {
     image: Canvas,
     rays: Rays,
     tiles: Vec<TileRecord>,
+    /// Who began it.
+    crew: Vec<WorkerId>,
+    /// By worker, its last word that tiles are rendered, and bytes that have come since.
+    words: BTreeMap<WorkerId, (Duration, u64)>,
     /// From whom each tile of the image is, for a mix.
     origins: BTreeMap<TileId, WorkerId>,
     checks: Option<Checks>,
@@ -71,6 +75,8 @@ impl Active {
             image,
             rays: Rays::default(),
             tiles: Vec::new(),
+            crew: Vec::new(),
+            words: BTreeMap::new(),
             origins: BTreeMap::new(),
             checks: None,
             begun: now,
@@ -84,6 +90,7 @@ impl Active {
         &mut self,
         class: Option<String>,
         workers: &[WorkerId],
+        known: &Knowledge,
         now: Duration,
     ) -> Vec<Assignment> {
         self.late += self.dispatch.dropped() + u64::from(self.dispatch.done());
@@ -94,16 +101,43 @@ impl Active {
         self.image.restart();
         (self.rays, self.alone) = (Rays::default(), None);
         self.tiles.clear();
+        self.words.clear();
         self.due.clear();
         self.class = class;
-        let (dispatch, assignments) =
-            Dispatch::start(&self.grid, self.job.balance, self.job.samples, workers, now);
+        let in_order = self.image.may_wait().is_some() && self.job.image_bytes() > Self::IN_ORDER_BYTES;
+        let camera = &self.frame.camera;
+        let plan = plan(self.job.balance, &View { grid: &self.grid, camera, workers, known, in_order });
+        self.frame.returns = plan.returns;
+        self.crew = workers.to_vec();
+        let (dispatch, assignments) = Dispatch::start_as(&self.grid, plan, self.job.samples, workers, now);
         self.dispatch = dispatch;
         if let Some(may_wait) = self.image.may_wait() {
             self.dispatch.keep_order(may_wait);
         }
         assignments
     }
+
+    /// What the frame has shown of its workers and tiles.
+    pub(super) fn teach(&self, known: &mut Knowledge) {
+        let Some((completed, _)) = self.completed else { return };
+        let shown = |record: &TileRecord| {
+            let &(worker, _) = self.reports.get(record.worker)?;
+            Some(Shown { tile: record.tile, worker, render: record.render })
+        };
+        let shown: Vec<_> = self.tiles.iter().filter_map(shown).collect();
+        known.learn(&Seen {
+            camera: &self.frame.camera,
+            grid: &self.grid,
+            shown: &shown,
+            crew: &self.crew,
+            took: completed.saturating_sub(self.begun),
+            wire_bytes: self.tiles.iter().map(|tile| tile.wire_bytes).sum(),
+            way: self.dispatch.plan().way(),
+        });
+    }
+
+    /// Images of more bytes are wanted in order: of others it does not matter which tiles wait for which.
+    const IN_ORDER_BYTES: u64 = 256 << 20;
 
     /// Whether workers of `class` have a part in it.
     pub(super) fn takes(&self, class: &str) -> bool {
@@ -188,6 +222,18 @@ impl Active {
             }
         }
         Ok(first)
+    }
+
+    /// `worker` has said that tiles are rendered; their pixels follow.
+    pub(super) fn word(&mut self, worker: WorkerId, now: Duration) {
+        self.words.insert(worker, (now, 0));
+    }
+
+    /// `bytes` more have come of `worker`: all since its last word, and within what time.
+    pub(super) fn came(&mut self, worker: WorkerId, bytes: u64, now: Duration) -> Option<(u64, Duration)> {
+        let (said, sum) = self.words.get_mut(&worker)?;
+        *sum += bytes;
+        Some((*sum, now.saturating_sub(*said)))
     }
 
     /// The next rows of the image that are complete, if it is given out by rows.

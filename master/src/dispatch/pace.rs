@@ -1,13 +1,14 @@
 //! What the tiles of a frame have cost so far, and how long that lets a silent worker be trusted.
 
-use super::Balance;
 use std::{collections::BTreeMap, time::Duration};
 use tessera_wire::{ReturnMode, WorkerId};
 
 /// Costs by the master's clock: from a worker's last sign of progress to its word that it has rendered.
 #[derive(Clone, Debug)]
 pub(super) struct Pace {
-    balance: Balance,
+    /// Whether tiles were dealt in advance.
+    is_dealt: bool,
+    returns: ReturnMode,
     /// Samples of the largest tile.
     samples: u64,
     /// By worker: whether one is late is for those to show that could help it. One that is a thousand times slower than they are would else
@@ -62,8 +63,18 @@ impl Pace {
     /// and this at least, as on a machine that is busy.
     const COMPARE_LEAST: Duration = Duration::from_secs(5);
 
-    pub(super) fn new(balance: Balance, samples: u64) -> Self {
-        Self { balance, samples, shown: BTreeMap::new() }
+    pub(super) fn new(is_dealt: bool, returns: ReturnMode, samples: u64) -> Self {
+        Self { is_dealt, returns, samples, shown: BTreeMap::new() }
+    }
+
+    /// What a tile has cost `worker` on the average; what it has cost the others while it has shown nothing.
+    pub(super) fn mean_of(&self, worker: WorkerId) -> Option<Duration> {
+        if let Some(shown) = self.shown.get(&worker) {
+            return Some(shown.mean());
+        }
+        let (sum, tiles) =
+            self.shown.values().fold((Duration::ZERO, 0), |(s, n), shown| (s + shown.sum, n + shown.tiles));
+        sum.checked_div(tiles)
     }
 
     /// `worker` took `took` for `tiles` tiles, at least one.
@@ -80,16 +91,12 @@ impl Pace {
         let others = || self.shown.iter().filter(|(other, _)| **other != worker).map(|(_, shown)| shown);
         let shown = self.shown.get(&helper).or_else(|| others().min_by_key(|shown| shown.mean()));
         let shown = shown.copied().unwrap_or_default();
-        match self.balance {
-            balance if !balance.is_dealt() => {
-                let mean = shown.mean();
-                mean.saturating_mul(Self::LATE_MEANS).max(Self::LATE_LEAST)
-            }
-            _ => {
-                let slowest = shown.slowest.saturating_mul(Self::DEAL_LATE_SLOWEST);
-                slowest.saturating_mul(self.tiles_a_word(queued)).max(Self::DEAL_LATE_LEAST)
-            }
+        if self.is_dealt {
+            let slowest = shown.slowest.saturating_mul(Self::DEAL_LATE_SLOWEST);
+            return slowest.saturating_mul(self.tiles_a_word(queued)).max(Self::DEAL_LATE_LEAST);
         }
+        let mean = shown.mean().saturating_mul(self.tiles_a_word(queued));
+        mean.saturating_mul(Self::LATE_MEANS).max(Self::LATE_LEAST)
     }
 
     /// How long it may be silent before it is given up.
@@ -118,9 +125,10 @@ impl Pace {
 
     /// Tiles that a worker with `queued` of them renders before its next word.
     fn tiles_a_word(&self, queued: u32) -> u32 {
-        match self.balance.returns() {
+        match self.returns {
             ReturnMode::AtEnd => queued.max(1),
             ReturnMode::Batches { .. } => 1,
+            ReturnMode::Every { tiles } => tiles.min(queued).max(1),
         }
     }
 }
@@ -128,14 +136,19 @@ impl Pace {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Balance;
 
     const SECOND: Duration = Duration::from_secs(1);
     const ONE: WorkerId = WorkerId(1);
     const OTHER: WorkerId = WorkerId(2);
 
+    fn pace_of(balance: Balance, samples: u64) -> Pace {
+        Pace::new(balance.is_dealt(), balance.returns(), samples)
+    }
+
     #[test]
     fn what_tiles_have_cost_the_helper_decides_who_is_late() {
-        let mut pull = Pace::new(Balance::Dynamic, 1);
+        let mut pull = pace_of(Balance::Dynamic, 1);
         assert_eq!(pull.late_after(ONE, 3, OTHER), Pace::LATE_LEAST, "nothing is known yet");
         pull.note(ONE, 1, 5000 * SECOND);
         assert_eq!(pull.late_after(ONE, 3, OTHER), Pace::LATE_LEAST, "nothing is known of others");
@@ -145,12 +158,12 @@ mod tests {
         assert_eq!(pull.late_after(ONE, 3, WorkerId(4)), 2 * 5 * SECOND, "it has just joined");
         assert_eq!(pull.late_after(OTHER, 3, ONE), 2 * 5000 * SECOND, "a slow one is no help");
 
-        let mut deal = Pace::new(Balance::Static, 1);
+        let mut deal = pace_of(Balance::Static, 1);
         assert_eq!(deal.late_after(ONE, 3, OTHER), Pace::DEAL_LATE_LEAST);
         deal.note(OTHER, 2, 6 * SECOND);
         deal.note(ONE, 1, 5000 * SECOND);
         assert_eq!(deal.late_after(ONE, 3, OTHER), 4 * 3 * SECOND, "a word a tile");
-        let mut paper = Pace::new(Balance::PaperStatic, 1);
+        let mut paper = pace_of(Balance::PaperStatic, 1);
         paper.note(OTHER, 2, 6 * SECOND);
         assert_eq!(paper.late_after(ONE, 5, OTHER), 5 * 4 * 3 * SECOND, "a word a list");
     }
@@ -158,12 +171,12 @@ mod tests {
     #[test]
     fn a_hard_frame_has_time() {
         // 128 x 128 pixels: 164 s, and a minute.
-        let mut pace = Pace::new(Balance::Dynamic, 128 * 128);
+        let mut pace = pace_of(Balance::Dynamic, 128 * 128);
         assert_eq!(pace.stalled_after(1), Duration::from_millis(163_840) + Pace::STALLED_LEAST);
         pace.note(ONE, 1, 100 * SECOND);
         assert_eq!(pace.stalled_after(1), 1000 * SECOND + Pace::STALLED_LEAST);
         // The largest frame there is does not overflow.
-        let most = Pace::new(Balance::PaperStatic, 1 << 44).stalled_after(1 << 16);
+        let most = pace_of(Balance::PaperStatic, 1 << 44).stalled_after(1 << 16);
         assert!(most > 1_000_000 * SECOND && std::time::Instant::now().checked_add(most).is_some());
     }
 }

@@ -232,6 +232,12 @@ pub enum ReturnMode {
         /// Pixel bytes that make a batch worth sending.
         min_bytes: u32,
     },
+    /// A `Rendered` and a batch after each so many tiles, and when the list is empty: few messages where each costs a link as much as many
+    /// tiles, and still some before the end.
+    Every {
+        /// How many, >= 1; 0 counts as 1.
+        tiles: u32,
+    },
 }
 
 /// What is wrong with a frame.

@@ -148,7 +148,7 @@ messages! {
     struct Sampling { sampler: Sampler, cutoff: f32, adaptive: Option<f32> }
     enum Sampler { Jittered, LowDiscrepancy }
     enum PixelFormat { Rgba8, Rgba16, Layers }
-    enum ReturnMode { AtEnd, Batches { min_bytes: u32 } }
+    enum ReturnMode { AtEnd, Batches { min_bytes: u32 }, Every { tiles: u32 } }
     struct PackChunk { pack: [u8; 32], offset: u64, length: u32 }
     struct BatchHeader { frame: u64, tiles: Vec<TileEntry> }
     struct TileEntry {

@@ -76,6 +76,7 @@ pub fn to_worker() -> Vec<(&'static str, ToWorker)> {
         ("pack offer", ToWorker::PackOffer { pack: PACK, length: 5_000_000_000 }),
         ("frame", ToWorker::Frame(frame())),
         ("frame: at end", ToWorker::Frame(Frame { returns: ReturnMode::AtEnd, ..frame() })),
+        ("frame: every", ToWorker::Frame(Frame { returns: ReturnMode::Every { tiles: 5 }, ..frame() })),
         ("frame: raw", ToWorker::Frame(Frame { coding: Coding::Raw, ..frame() })),
         ("frame: rounded", ToWorker::Frame(Frame { coding: Coding::Rounded, ..frame() })),
         ("frame: adaptive", ToWorker::Frame(Frame { sampling: adaptive, ..frame() })),
