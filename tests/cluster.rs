@@ -172,8 +172,10 @@ fn processes(count: u32, args: &[&str]) -> Workers {
     Workers::Local(LocalWorkers {
         program: env!("CARGO_BIN_EXE_tessera").into(),
         args: args.iter().map(Into::into).collect(),
+        args_of: Vec::new(),
         count,
         threads: Some(1),
+        through: None,
     })
 }
 
@@ -201,7 +203,8 @@ async fn processes_that_do_not_become_workers_are_named() {
     let message = ended.err().expect("it only prints").to_string();
     assert!(message.starts_with("local-") && message.contains("its process has ended"), "{message}");
 
-    let missing = LocalWorkers { program: "no/such/program".into(), args: vec![], count: 1, threads: None };
+    let Workers::Local(workers) = processes(1, &[]) else { panic!("processes") };
+    let missing = LocalWorkers { program: "no/such/program".into(), ..workers };
     let failed = Cluster::start(Workers::Local(missing), ClusterConfig::default()).await.err();
     let message = failed.expect("there is none").to_string();
     assert!(message.starts_with("cannot start worker process `no/such/program`"), "{message}");

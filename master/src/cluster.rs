@@ -7,6 +7,7 @@ use crate::{
     door::{self, Door, Guest},
     line::{Counters, Input, Line, Tile},
     net, spawn,
+    spawn::Detour,
     transport::{self, PipeError},
 };
 use quinn::VarInt;
@@ -48,10 +49,14 @@ pub struct LocalWorkers {
     pub program: PathBuf,
     /// Arguments that make it call `tessera_worker::run_local`.
     pub args: Vec<OsString>,
+    /// What each is given besides, by its number; nothing for those beyond the end.
+    pub args_of: Vec<Vec<OsString>>,
     /// How many, >= 1.
     pub count: u32,
     /// Threads that each renders with; `None`: the machine's cores shared out evenly, at least one each.
     pub threads: Option<u32>,
+    /// How they reach the master; `None`: straight.
+    pub through: Option<Detour>,
 }
 
 /// How a cluster is started.
@@ -135,11 +140,11 @@ impl Cluster {
                 count
             }
             Workers::Tickets(count, hand_out) => {
-                hand_out(this.issue(count, Some(1))?);
+                hand_out(this.issue(count, Some(1), None)?);
                 count as usize
             }
             Workers::Local(workers) => {
-                let tickets = this.issue(workers.count, workers.threads)?;
+                let tickets = this.issue(workers.count, workers.threads, workers.through.as_ref())?;
                 for (index, (child, stdin)) in spawn::spawn(&workers, &tickets).await?.into_iter().enumerate()
                 {
                     this.tasks.spawn(watch(index, child, this.tell.clone()));
@@ -412,15 +417,21 @@ impl Cluster {
         Ok(bound)
     }
 
-    /// Opens the door on loopback; tickets for `count` workers that may come to it.
-    fn issue(&mut self, count: u32, threads: Option<u32>) -> Result<Vec<LocalTicket>, StartError> {
+    /// Opens the door on loopback; tickets for `count` workers that may come to it, `through` another address if there is one.
+    fn issue(
+        &mut self,
+        count: u32,
+        threads: Option<u32>,
+        through: Option<&Detour>,
+    ) -> Result<Vec<LocalTicket>, StartError> {
         let setup = |e: tessera_trust::TrustError| StartError::Endpoint(e.to_string());
         let own = Identity::new().map_err(setup)?;
-        let host = Ipv4Addr::LOCALHOST;
         let tokens: Result<Vec<_>, _> = (0..count).map(|_| tessera_trust::new_token()).collect();
         let tokens = tokens.map_err(setup)?;
-        let port = self.open((host, 0).into(), &own, Admission::local(tokens.clone()))?.port();
-        let join = |token| JoinString { host: host.to_string(), port, fingerprint: own.fingerprint(), token };
+        let bound = self.open((Ipv4Addr::LOCALHOST, 0).into(), &own, Admission::local(tokens.clone()))?;
+        let at = through.map_or(Ok(bound), |way| way.find(bound)).map_err(StartError::Detour)?;
+        let (host, port) = (at.ip().to_string(), at.port());
+        let join = |token| JoinString { host: host.clone(), port, fingerprint: own.fingerprint(), token };
         let tickets = spawn::tickets(tokens.into_iter().map(join), threads);
         self.locals.extend(tickets.iter().map(|ticket| Local {
             name: ticket.name.clone(),
@@ -669,6 +680,9 @@ pub enum StartError {
     /// The socket, the certificates.
     #[error("cannot open the master's endpoint: {0}")]
     Endpoint(String),
+    /// There is no way [`through`](LocalWorkers::through) what was to be there.
+    #[error("workers have no way to the master: {0}")]
+    Detour(std::io::Error),
     /// A worker ended, or was refused, before it had joined.
     #[error("{worker} did not join: {reason}")]
     Worker {

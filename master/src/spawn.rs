@@ -1,12 +1,34 @@
 //! Worker processes on this machine.
 
 use crate::cluster::{LocalWorkers, StartError};
-use std::{process::Stdio, thread::available_parallelism};
+use std::{fmt, io, net::SocketAddr, process::Stdio, sync::Arc, thread::available_parallelism};
 use tessera_wire::{JoinString, LocalTicket, codec};
 use tokio::{
     io::AsyncWriteExt,
     process::{Child, ChildStdin, Command},
 };
+
+/// A way that is not the straight one: given the master's address, the address at which to join, of a relay for one.
+#[derive(Clone)]
+pub struct Detour(Arc<dyn Fn(SocketAddr) -> io::Result<SocketAddr> + Send + Sync>);
+
+impl Detour {
+    /// The way that `find` finds; it is asked once, when the master listens and before any worker is started.
+    pub fn new(find: impl Fn(SocketAddr) -> io::Result<SocketAddr> + Send + Sync + 'static) -> Self {
+        Self(Arc::new(find))
+    }
+
+    /// Where to join.
+    pub(crate) fn find(&self, master: SocketAddr) -> io::Result<SocketAddr> {
+        (self.0)(master)
+    }
+}
+
+impl fmt::Debug for Detour {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Detour")
+    }
+}
 
 /// What each worker needs that joins by one of `joins`, by the name `local-0` and so on. `threads` as in [`LocalWorkers`].
 pub(crate) fn tickets(
@@ -28,9 +50,10 @@ pub(crate) async fn spawn(
     let program = workers.program.display().to_string();
     let failed = |source| StartError::Spawn { program: program.clone(), source };
     let mut started = Vec::new();
-    for ticket in tickets {
+    for (index, ticket) in tickets.iter().enumerate() {
         let mut command = Command::new(&workers.program);
-        command.args(&workers.args).stdin(Stdio::piped()).stdout(Stdio::null()).kill_on_drop(true);
+        let own = workers.args_of.get(index).map_or(&[][..], Vec::as_slice);
+        command.args(&workers.args).args(own).stdin(Stdio::piped()).stdout(Stdio::null()).kill_on_drop(true);
         // A terminal sends Ctrl-C to a whole process group. It is the master's to act on: workers that died of it
         // on their own would look lost.
         #[cfg(unix)]

@@ -12,18 +12,22 @@ mod memory;
 mod net;
 mod pipes;
 mod receive;
+mod recording;
 mod render;
 mod retry;
 mod serve;
 pub mod session;
 
 pub use backend::gpu;
-pub use backend::{Adapter, Backend, BackendChoice, BackendConfig, BackendError, PackFault, adapters};
+pub use backend::{
+    Adapter, Backend, BackendChoice, BackendConfig, BackendError, PackFault, ReplayConfig, adapters,
+};
 pub use cache::PackCache;
 pub use join::{JoinError, serve_master};
 pub use local::{run_local, serve_ticket};
 pub use memory::free_memory;
 pub use net::{Closer, Connected, connect};
+pub use recording::{Recording, RecordingError, RecordingFile};
 pub use retry::{RetryConfig, stay};
 pub use serve::{Parting, Stop, WorkerConfig, WorkerError, WorkerPipes, serve};
 pub use tessera_kdtree::Kernel;

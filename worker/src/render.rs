@@ -5,6 +5,8 @@ use crate::{
     backend::{
         Engine, GpuEngine, cpu,
         gpu::{GpuError, tiles::Tiles},
+        pace::{thread_cpu_time, wait_until},
+        replay::{Played, Replay},
     },
     session::{RenderTask, RenderedTile},
 };
@@ -19,12 +21,15 @@ use std::{
 };
 use tessera_pack::Pack;
 use tessera_whitted::Renderer;
+use tessera_wire::Rays;
 
 /// A running render thread; dropping it ends the thread, and what it is at.
 pub(crate) struct RenderThread {
     tasks: mpsc::Sender<Queued>,
     /// Set to stop the tiles that are queued.
     stop: Arc<AtomicBool>,
+    /// Woken then, where it sleeps over a tile.
+    thread: thread::Thread,
 }
 
 /// A tile, the pack that it is of, and what stops it.
@@ -51,6 +56,12 @@ impl RenderThread {
     ) -> Result<Self, Box<dyn std::error::Error + Send + Sync>> {
         let (tasks, queue) = mpsc::channel();
         let tell = PanicTeller(tell);
+        if backend.pace().is_some() && (threads != 1 || thread_cpu_time().is_none()) {
+            // Of several threads none need be the one that the tile waits for.
+            return Err(
+                "a CPU is made to seem slower for one thread, on systems that count its CPU time".into()
+            );
+        }
         let pool = match backend.engine() {
             Engine::Cpu => {
                 let name = |i| format!("render {i}");
@@ -61,19 +72,25 @@ impl RenderThread {
                         .build()?,
                 )
             }
-            Engine::Gpu(_) => None,
+            Engine::Gpu(_) | Engine::Replay(_) => None,
         };
-        thread::Builder::new().name("render".into()).spawn(move || match (backend.engine(), pool) {
-            (Engine::Gpu(engine), _) => {
-                if let Err(error) = render_on_gpu(engine, &queue, &tell.0) {
-                    backend.fail();
-                    (tell.0)(RenderEvent::Failed(error.to_string()));
+        let thread =
+            thread::Builder::new().name("render".into()).spawn(move || match (backend.engine(), pool) {
+                (Engine::Gpu(engine), _) => {
+                    if let Err(error) = render_on_gpu(engine, &queue, &tell.0) {
+                        backend.fail();
+                        (tell.0)(RenderEvent::Failed(error.to_string()));
+                    }
                 }
-            }
-            (Engine::Cpu, Some(pool)) => render_on_cpu(&backend, &pool, &queue, &tell.0),
-            (Engine::Cpu, None) => {}
-        })?;
-        Ok(Self { tasks, stop: Arc::default() })
+                (Engine::Cpu, Some(pool)) => render_on_cpu(&backend, &pool, &queue, &tell.0),
+                (Engine::Cpu, None) => {}
+                (Engine::Replay(device), _) => {
+                    if let Err(reason) = replay(device, &queue, &tell.0) {
+                        (tell.0)(RenderEvent::Failed(reason));
+                    }
+                }
+            })?;
+        Ok(Self { tasks, stop: Arc::default(), thread: thread.thread().clone() })
     }
 
     /// Queues a tile. After a panic or a failure it is not rendered; that has been told.
@@ -87,6 +104,7 @@ impl RenderThread {
     /// Stops all tiles that were queued and are not finished; each is told.
     pub(crate) fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
+        self.thread.unpark();
     }
 }
 
@@ -102,7 +120,18 @@ fn render_on_cpu(
         let Ok((task, pack, stop)) = queue.recv() else { return };
         let (begun, idle) = (Instant::now(), waits.elapsed());
         let renderer = Renderer::with_kernel(&pack, kernel);
-        let rendered = pool.install(|| cpu::render(&renderer, &task.frame, task.rect, &stop));
+        let render = || cpu::render(&renderer, &task.frame, task.rect, &stop);
+        let rendered = match backend.pace() {
+            None => pool.install(render),
+            Some(pace) => {
+                let (rendered, cpu) = pool.install(|| {
+                    let before = thread_cpu_time();
+                    (render(), thread_cpu_time().zip(before).map(|(after, before)| after - before))
+                });
+                let takes = cpu.unwrap_or_default().div_f64(pace);
+                rendered.filter(|_| wait_until(begun + takes, &stop))
+            }
+        };
         let time = begun.elapsed();
         tell(match rendered {
             Some((pixels, rays)) => RenderEvent::Rendered(Box::new(RenderedTile {
@@ -112,6 +141,25 @@ fn render_on_cpu(
             None => RenderEvent::Stopped,
         });
     }
+}
+
+/// Plays `device`; the reason, if it cannot.
+fn replay(
+    device: &Replay,
+    queue: &mpsc::Receiver<Queued>,
+    tell: &impl Fn(RenderEvent),
+) -> Result<(), String> {
+    while let Ok((task, _, stop)) = queue.recv() {
+        let begun = Instant::now();
+        tell(match device.play(&task, &stop)? {
+            Played::Done(pixels) => {
+                let (time, rays) = (begun.elapsed(), Rays::default());
+                RenderEvent::Rendered(Box::new(RenderedTile { task, pixels, time, rays }))
+            }
+            Played::Stopped => RenderEvent::Stopped,
+        });
+    }
+    Ok(())
 }
 
 /// How long buffers are kept for the next tile: longer than one takes to be assigned.

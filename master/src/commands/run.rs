@@ -525,8 +525,10 @@ fn workers(crew: &LocalCrew, log: &LogArgs) -> Result<Workers, CommandError> {
             .chain(crew.backend.to_args())
             .chain(log.to_args())
             .collect(),
+        args_of: Vec::new(),
         count: crew.workers,
         threads: crew.threads,
+        through: None,
     }))
 }
 

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 use tessera_trust::Identity;
 use tessera_wire::limits;
-use tessera_worker::{Backend, PackCache, RetryConfig, Stop, WorkerConfig, WorkerError};
+use tessera_worker::{Backend, PackCache, ReplayConfig, RetryConfig, Stop, WorkerConfig, WorkerError};
 use tokio::sync::watch;
 
 /// Whom to serve, and with what.
@@ -58,6 +58,59 @@ pub struct WorkerArgs {
     /// Join the master that has started this process, by the ticket on standard input
     #[arg(long, hide = true, conflicts_with_all = ["join", "threads", "name", "retry_for", "cache_dir", "cache_limit", "no_cache"])]
     pub ticket: bool,
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+/// Playing a device that this machine is not, for `tessera bench`.
+#[derive(Debug, Args)]
+struct DeviceArgs {
+    /// Render nothing: return the pixels of a recording, after the time that they took
+    #[arg(long, hide = true, value_name = "FILE", conflicts_with_all = ["backend", "gpu", "kernel"])]
+    replay: Option<PathBuf>,
+    /// How fast the device is beside the recorded one
+    #[arg(long, hide = true, value_name = "S", default_value_t = 1.0, value_parser = factor, requires = "replay")]
+    speed: f64,
+    /// Multiplies all recorded times
+    #[arg(long, hide = true, value_name = "S", default_value_t = 1.0, value_parser = factor, requires = "replay")]
+    scale: f64,
+    /// Microseconds that each tile takes besides
+    #[arg(long, hide = true, value_name = "N", default_value_t = 0, requires = "replay")]
+    launch_us: u32,
+    /// Render on the CPU as if it were so many times as fast as it is, with one thread
+    #[arg(long, hide = true, value_name = "S", value_parser = pace, conflicts_with_all = ["replay", "gpu"])]
+    pace: Option<f64>,
+}
+
+impl WorkerArgs {
+    /// Opens what was asked for.
+    fn open(&self) -> Result<Backend, CommandError> {
+        let DeviceArgs { replay, speed, scale, launch_us, pace } = &self.device;
+        if let Some(file) = replay {
+            let launch = Duration::from_micros((*launch_us).into());
+            let config = ReplayConfig { file: file.clone(), scale: *scale, speed: *speed, launch };
+            return Backend::replay(&config).map_err(CommandError::failed);
+        }
+        match pace {
+            Some(_) if self.backend.needs_gpu() => {
+                Err(CommandError::Usage("--pace is for the CPU; leave --backend gpu out".into()))
+            }
+            Some(pace) => Ok(Backend::paced(self.backend.kernel.kernel(), *pace)),
+            None => self.backend.open(),
+        }
+    }
+}
+
+/// A factor between devices or times.
+fn factor(text: &str) -> Result<f64, String> {
+    let factor: Option<f64> = text.parse().ok();
+    factor.filter(|f| (1e-4..=1e4).contains(f)).ok_or_else(|| "write a factor of 0.0001 to 10000".into())
+}
+
+/// A share of this machine's speed.
+fn pace(text: &str) -> Result<f64, String> {
+    let pace: Option<f64> = text.parse().ok();
+    pace.filter(|p| (1e-3..=1.0).contains(p)).ok_or_else(|| "write a share of 0.001 to 1".into())
 }
 
 pub fn run(args: WorkerArgs) -> Result<(), CommandError> {
@@ -69,7 +122,7 @@ pub fn run(args: WorkerArgs) -> Result<(), CommandError> {
         join::find(args.join.as_deref())?;
         cache(&args)?
     };
-    let backend = args.backend.open()?;
+    let backend = args.open()?;
     tracing::info!("{}", backend.note());
     let result = if args.ticket {
         runtime.block_on(tessera_worker::run_local(backend)).map_err(CommandError::failed)

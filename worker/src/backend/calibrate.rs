@@ -75,9 +75,14 @@ fn task(pack: &Pack, side: u32) -> Option<RenderTask> {
         right: local.right.into(),
         up: local.up.into(),
     };
+    Some(task_of(PackId(pack.id().0), camera, side))
+}
+
+/// A frame of one square tile of `side` pixels.
+pub(super) fn task_of(pack: PackId, camera: Camera, side: u32) -> RenderTask {
     let frame = Frame {
         frame: FrameId(1),
-        pack: PackId(pack.id().0),
+        pack,
         camera,
         width: side,
         height: side,
@@ -92,7 +97,7 @@ fn task(pack: &Pack, side: u32) -> Option<RenderTask> {
         coding: Coding::Raw,
     };
     let rect = Rect { x: 0, y: 0, width: side, height: side };
-    Some(RenderTask { frame, tile: TileId(0), attempt: Attempt(0), rect })
+    RenderTask { frame, tile: TileId(0), attempt: Attempt(0), rect }
 }
 
 /// Rays a second by `render`, which takes a tile and says how many rays it had; the first size that takes long enough counts, the

@@ -1,10 +1,15 @@
-//! What renders: the CPU, or a GPU by way of wgpu.
+//! What renders: the CPU, a GPU by way of wgpu, or a recording that plays a device.
 
 mod calibrate;
 pub(crate) mod cpu;
 pub mod gpu;
+pub(crate) mod pace;
+pub(crate) mod replay;
 
+use crate::recording::RecordingError;
 use gpu::{Gpu, GpuError, GpuOptions, GpuScene};
+use replay::Replay;
+pub use replay::ReplayConfig;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -115,12 +120,15 @@ struct Inner {
     /// Whether the CPU may take over when the GPU fails.
     is_auto: bool,
     has_failed: AtomicBool,
+    /// How fast the CPU is to seem beside what it is.
+    pace: Option<f64>,
 }
 
 #[derive(Debug)]
 pub(crate) enum Engine {
     Cpu,
     Gpu(GpuEngine),
+    Replay(Replay),
 }
 
 /// A GPU and the scene that it holds.
@@ -140,6 +148,20 @@ const LETTING_GO: Duration = Duration::from_secs(1);
 
 /// Tiles that a GPU is handed before it has finished any: enough that one submission can be computed while the one before is read back.
 const GPU_TILES_AHEAD: usize = 64;
+
+impl Inner {
+    fn new(config: &BackendConfig, engine: Engine, speed: u64, note: String) -> Self {
+        Self {
+            kernel: config.kernel,
+            engine,
+            speed,
+            note,
+            is_auto: config.choice == BackendChoice::Auto,
+            has_failed: AtomicBool::new(false),
+            pace: None,
+        }
+    }
+}
 
 impl Backend {
     /// Opens what `config` asks for and measures it on a calibration tile.
@@ -207,30 +229,45 @@ impl Backend {
     }
 
     fn new(config: &BackendConfig, engine: Engine, speed: u64, note: String) -> Self {
-        let inner = Inner {
-            kernel: config.kernel,
-            engine,
-            speed,
-            note,
-            is_auto: config.choice == BackendChoice::Auto,
-            has_failed: AtomicBool::new(false),
-        };
+        Self { inner: Arc::new(Inner::new(config, engine, speed, note)) }
+    }
+
+    /// A device that is played from a recording.
+    pub fn replay(config: &ReplayConfig) -> Result<Self, RecordingError> {
+        let replay = Replay::open(config)?;
+        let note = replay.note();
+        // Beside other played devices; beside real ones it means nothing.
+        let speed = (1e6 * config.speed / config.scale).max(1.0) as u64;
+        let cpu = BackendConfig { choice: BackendChoice::Cpu, ..BackendConfig::default() };
+        Ok(Self::new(&cpu, Engine::Replay(replay), speed, note))
+    }
+
+    /// The CPU by `kernel`, made to seem `pace` times as fast as it is, (0, 1]: each tile is returned when the CPU time that it took, divided
+    /// by `pace`, has passed. A worker that renders with more than one thread does not start with it.
+    pub fn paced(kernel: Kernel, pace: f64) -> Self {
+        let speed = ((calibrate::cpu(kernel) as f64 * pace) as u64).max(1);
+        let note = format!("rendering on the CPU ({}) as if it were {pace} times as fast", kernel.name());
+        let cpu = BackendConfig { choice: BackendChoice::Cpu, gpu: None, kernel };
+        let inner = Inner { pace: Some(pace), ..Inner::new(&cpu, Engine::Cpu, speed, note) };
         Self { inner: Arc::new(inner) }
     }
 
-    /// `cpu` or `gpu`, as `Hello` says it.
+    /// `cpu`, `gpu` or `replay`, as `Hello` says it.
     pub fn name(&self) -> &'static str {
         match self.inner.engine {
             Engine::Cpu => cpu::NAME,
             Engine::Gpu(_) => "gpu",
+            Engine::Replay(_) => replay::NAME,
         }
     }
 
-    /// What names its arithmetic: frames of one class are equal bit for bit. `cpu-N`, or `gpu-N` with adapter and driver.
+    /// What names its arithmetic: frames of one class are equal bit for bit. `cpu-N`, `gpu-N` with adapter and driver, or
+    /// `replay`.
     pub fn numeric_class(&self) -> &str {
         match &self.inner.engine {
             Engine::Cpu => tessera_whitted::NUMERIC_CLASS,
             Engine::Gpu(engine) => engine.gpu.numeric_class(),
+            Engine::Replay(_) => replay::NAME,
         }
     }
 
@@ -274,7 +311,7 @@ impl Backend {
     /// How many tiles it is handed before it has finished any; at least 1.
     pub fn tiles_ahead(&self) -> usize {
         match self.inner.engine {
-            Engine::Cpu => cpu::TILES_AHEAD,
+            Engine::Cpu | Engine::Replay(_) => cpu::TILES_AHEAD,
             Engine::Gpu(_) => GPU_TILES_AHEAD,
         }
     }
@@ -309,6 +346,11 @@ impl Backend {
     /// How the CPU traces rays, if that is what renders.
     pub(crate) fn kernel(&self) -> Kernel {
         self.inner.kernel
+    }
+
+    /// How fast the CPU is to seem beside what it is, if not so fast.
+    pub(crate) fn pace(&self) -> Option<f64> {
+        self.inner.pace
     }
 
     pub(crate) fn engine(&self) -> &Engine {

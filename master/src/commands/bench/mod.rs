@@ -15,6 +15,7 @@ mod pack;
 mod peer;
 mod ray_set;
 mod rays;
+mod scale;
 
 use super::page::BUGS_FOR_TESTS;
 use super::progress::Progress;
@@ -39,6 +40,11 @@ pub enum BenchCommand {
     ErrorTime(error_time::ErrorTimeArgs),
     /// Seconds of a frame on a GPU and on the CPU, by what the GPU's kernels are made of
     Gpu(gpu::GpuArgs),
+    /// What the transport of frames gets out of emulated links, beside what they have to give
+    Link(scale::link_bench::LinkArgs),
+    /// Emulate a link between workers and their master; started by `bench` itself
+    #[command(hide = true)]
+    Relay(scale::relay::RelayArgs),
     /// Build one tree; started by `bench build` itself
     #[command(hide = true)]
     BuildOne(build::BuildOneArgs),
@@ -51,7 +57,8 @@ pub fn run(command: BenchCommand, progress: &Progress) -> Result<(), CommandErro
         BenchCommand::Pack(args) => !args.json,
         BenchCommand::ErrorTime(args) => !args.json,
         BenchCommand::Gpu(args) => !args.json,
-        BenchCommand::BuildOne(_) => false,
+        BenchCommand::Link(args) => !args.json,
+        BenchCommand::BuildOne(_) | BenchCommand::Relay(_) => false,
     };
     super::warn_of_bugs(progress);
     match command {
@@ -61,6 +68,8 @@ pub fn run(command: BenchCommand, progress: &Progress) -> Result<(), CommandErro
         BenchCommand::ErrorTime(args) => error_time::run(&args, progress),
         BenchCommand::Gpu(args) => gpu::run(&args, progress),
         BenchCommand::BuildOne(args) => build::run_one(&args),
+        BenchCommand::Link(args) => scale::link_bench::run(&args, progress),
+        BenchCommand::Relay(args) => scale::relay::run(&args),
     }?;
     // What is kept of the text says so too.
     if mutation::ARE_THERE && prints_text {

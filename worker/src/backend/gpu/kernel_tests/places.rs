@@ -123,7 +123,7 @@ fn bits_of_nodes_and_vertices_are_those_of_rust() {
     for (a, b) in WORDS.into_iter().flat_map(|a| WORDS.map(|b| (a, b))) {
         let node = Node([a, b]);
         let of = |function: &str| ask(function, Value::pair([a, b]))[0];
-        assert_eq!(of("node_is_leaf"), node.is_leaf().into());
+        assert_eq!(of("node_is_leaf"), u32::from(node.is_leaf()));
         assert_eq!(of("node_axis"), node.axis() as u32);
         assert_eq!(of("node_split"), node.split().to_bits());
         assert_eq!(of("node_refs"), node.refs());
@@ -131,9 +131,9 @@ fn bits_of_nodes_and_vertices_are_those_of_rust() {
         assert_eq!(of("node_count"), node.count());
         let record = Record([a, b, a]);
         assert_eq!(ask("record_offsets", Value::U(a)), record.offsets());
-        assert_eq!(ask("record_cell", Value::U(b)), [record.cell().into()]);
-        assert_eq!(ask("record_normal", Value::U(b)), [record.normal().into()]);
-        assert_eq!(ask("record_has_side_uv", Value::U(a)), [record.has_side_uv().into()]);
+        assert_eq!(ask("record_cell", Value::U(b)), [u32::from(record.cell())]);
+        assert_eq!(ask("record_normal", Value::U(b)), [u32::from(record.normal())]);
+        assert_eq!(ask("record_has_side_uv", Value::U(a)), [u32::from(record.has_side_uv())]);
         assert_eq!(ask("record_uv", Value::U(a)), record.uv().map(f32::to_bits));
     }
 }
