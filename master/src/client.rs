@@ -272,5 +272,7 @@ fn result(summary: FrameSummary, pack: PackId) -> FrameResult<()> {
         rays: summary.rays,
         dropped_tiles: summary.dropped_tiles,
         tiles: Vec::new(),
+        tile: 0,
+        why: None,
     }
 }

@@ -293,6 +293,11 @@ impl Cluster {
         Ok(result)
     }
 
+    /// Forgets what frames have shown of workers, tiles and links, as a cluster that has just been started.
+    pub fn forget(&mut self) {
+        self.coordinator.forget();
+    }
+
     /// Tells the coordinator what round trips take now.
     fn measure_links(&mut self) {
         for (&worker, line) in &self.lines {
@@ -618,7 +623,7 @@ impl Cluster {
     }
 
     /// Bytes on the wire since the cluster was started.
-    pub(crate) fn traffic(&self) -> Traffic {
+    pub fn traffic(&self) -> Traffic {
         let open = self.lines.values().map(Line::udp_bytes);
         let udp = open.fold(self.udp_closed, |a, b| (a.0 + b.0, a.1 + b.1));
         Traffic {
@@ -650,6 +655,8 @@ impl Cluster {
             rays: outcome.rays,
             dropped_tiles: outcome.dropped_tiles,
             tiles: outcome.tiles,
+            tile: outcome.tile,
+            why: outcome.why,
         }
     }
 }

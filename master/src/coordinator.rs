@@ -125,6 +125,11 @@ pub struct Outcome {
     pub dropped_tiles: u64,
     /// Every result; `worker` counts in `workers`.
     pub tiles: Vec<TileRecord>,
+    /// Side of its tiles, and how many there are.
+    pub tile: u32,
+    pub count: u32,
+    /// Why it was balanced as it was, for `auto`.
+    pub why: Option<String>,
 }
 
 /// The master's whole state.
@@ -169,6 +174,11 @@ impl Coordinator {
     /// The same, for a cluster that workers join at any time: a frame whose last worker is lost waits for one so long before it fails.
     pub fn with_patience(self, patience: Duration) -> Self {
         Self { patience, ..self }
+    }
+
+    /// Forgets what frames have shown of workers, tiles and links.
+    pub fn forget(&mut self) {
+        self.known = Knowledge::default();
     }
 
     /// A round trip to `worker` takes so long now.

@@ -236,6 +236,10 @@ pub struct FrameResult<I = FrameBuffer> {
     pub dropped_tiles: u64,
     /// Every result that came for this frame, in the order of coming, dropped ones too; empty for a frame of a master elsewhere.
     pub tiles: Vec<TileRecord>,
+    /// Side of its tiles; 0 for a frame of a master elsewhere.
+    pub tile: u32,
+    /// Why it was balanced as it was; of `auto`, and not of a master elsewhere.
+    pub why: Option<String>,
 }
 
 /// Where the time of a tile went. Times of the master's clock count from the frame's begin, those of the worker's are lengths alone.
@@ -282,6 +286,8 @@ impl<I> FrameResult<I> {
             rays,
             dropped_tiles,
             tiles,
+            tile,
+            why,
         } = self;
         let after = FrameResult {
             image,
@@ -295,6 +301,8 @@ impl<I> FrameResult<I> {
             rays,
             dropped_tiles,
             tiles,
+            tile,
+            why,
         };
         (after, before)
     }
@@ -375,7 +383,7 @@ pub struct Timings {
 
 impl Traffic {
     /// What has come to `earlier` since then.
-    pub(crate) fn since(&self, earlier: &Self) -> Self {
+    pub fn since(&self, earlier: &Self) -> Self {
         Self {
             sent: self.sent.saturating_sub(earlier.sent),
             received: self.received.saturating_sub(earlier.received),

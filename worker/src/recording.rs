@@ -137,6 +137,11 @@ pub struct RecordingFile {
 }
 
 impl RecordingFile {
+    /// Its tiles.
+    pub(crate) fn grid(&self) -> TileGrid {
+        self.grid
+    }
+
     /// Opens the file and checks all of it but the pixels' values.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let failed = |source| RecordingError::Io { path: path.into(), source };

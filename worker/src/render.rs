@@ -149,17 +149,21 @@ fn replay(
     queue: &mpsc::Receiver<Queued>,
     tell: &impl Fn(RenderEvent),
 ) -> Result<(), String> {
-    while let Ok((task, _, stop)) = queue.recv() {
-        let begun = Instant::now();
+    loop {
+        let waits = Instant::now();
+        let Ok((task, _, stop)) = queue.recv() else { return Ok(()) };
+        let (begun, idle) = (Instant::now(), waits.elapsed());
         tell(match device.play(&task, &stop)? {
             Played::Done(pixels) => {
                 let (time, rays) = (begun.elapsed(), Rays::default());
-                RenderEvent::Rendered(Box::new(RenderedTile { task, pixels, time, rays }))
+                RenderEvent::Rendered(Box::new(RenderedTile {
+                    idle,
+                    ..RenderedTile::new(task, pixels, time, rays)
+                }))
             }
             Played::Stopped => RenderEvent::Stopped,
         });
     }
-    Ok(())
 }
 
 /// How long buffers are kept for the next tile: longer than one takes to be assigned.

@@ -361,6 +361,9 @@ impl Active {
             rays: self.rays,
             dropped_tiles: self.dispatch.dropped() + self.late,
             tiles: self.tiles,
+            tile: self.frame.tile,
+            count: self.dispatch.total(),
+            why: self.dispatch.plan().why.clone(),
         })
     }
 }

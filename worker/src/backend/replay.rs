@@ -5,10 +5,11 @@
 use super::pace::wait_until;
 use crate::recording::{RecordingError, RecordingFile};
 use crate::session::RenderTask;
+use std::io;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
-use tessera_wire::{Frame, PixelFormat, TileId};
+use tessera_wire::{Frame, PixelFormat, Rect, TileId};
 
 /// What `Hello` calls this backend, and its numeric class: nothing that computes is of it.
 pub(crate) const NAME: &str = "replay";
@@ -61,21 +62,22 @@ impl Replay {
         let begun = Instant::now();
         self.check(&task.frame)?;
         let entry = entry(&task.frame);
-        let time = self.time(entry, task.tile).ok_or("a tile that was not recorded")?;
+        let time = self.time(entry, task.rect).ok_or("a tile that was not recorded")?;
         let pixels =
-            self.file.tile(entry, task.tile).map_err(|e| format!("{}: {e}", self.file.path().display()))?;
+            self.pixels(entry, task.rect).map_err(|e| format!("{}: {e}", self.file.path().display()))?;
         Ok(if wait_until(begun + time, stop) { Played::Done(pixels) } else { Played::Stopped })
     }
 
-    /// Whether the recording is of such frames.
+    /// Whether the recording is of such frames: tiles may be made of several recorded ones.
     fn check(&self, frame: &Frame) -> Result<(), String> {
         let recording = self.file.recording();
-        let recorded = (recording.width, recording.height, recording.tile, PixelFormat::Rgba8);
-        if (frame.width, frame.height, frame.tile, frame.format) == recorded {
+        let recorded = (recording.width, recording.height, PixelFormat::Rgba8);
+        if (frame.width, frame.height, frame.format) == recorded && frame.tile.is_multiple_of(recording.tile)
+        {
             return Ok(());
         }
         Err(format!(
-            "the recording is of {}x{} pixels of RGBA8 in tiles of {}, and a frame of {}x{} of {:?} in tiles of {} is asked for",
+            "the recording is of {}x{} pixels of RGBA8 in tiles of {} or a multiple, and a frame of {}x{} of {:?} in tiles of {} is asked for",
             recording.width,
             recording.height,
             recording.tile,
@@ -86,12 +88,39 @@ impl Replay {
         ))
     }
 
-    /// What a tile takes.
-    fn time(&self, entry: usize, tile: TileId) -> Option<Duration> {
+    /// What the tile at `rect` takes: as long as the recorded ones in it, and one launch.
+    fn time(&self, entry: usize, rect: Rect) -> Option<Duration> {
         let frames = &self.file.recording().tile_us;
-        let recorded = *frames[entry % frames.len()].get(tile.0 as usize)?;
-        let seconds = f64::from(recorded) * 1e-6 * self.config.scale / self.config.speed;
+        let times = &frames[entry % frames.len()];
+        let times: Option<Vec<_>> = self.recorded(rect).map(|tile| times.get(tile.0 as usize)).collect();
+        let recorded: f64 = times?.into_iter().map(|us| f64::from(*us)).sum();
+        let seconds = recorded * 1e-6 * self.config.scale / self.config.speed;
         Some(Duration::try_from_secs_f64(seconds).ok()? + self.config.launch)
+    }
+
+    /// The pixels of `rect`, put together from the recorded tiles in it.
+    fn pixels(&self, entry: usize, rect: Rect) -> io::Result<Vec<u8>> {
+        const BYTES: usize = PixelFormat::Rgba8.bytes_per_pixel();
+        let grid = self.file.grid();
+        let mut pixels = vec![0; rect.width as usize * rect.height as usize * BYTES];
+        for tile in self.recorded(rect) {
+            let Some(part) = grid.rect(tile) else { continue };
+            let row_bytes = part.width as usize * BYTES;
+            for (row, bytes) in self.file.tile(entry, tile)?.chunks(row_bytes).enumerate() {
+                let (x, y) = ((part.x - rect.x) as usize, (part.y - rect.y) as usize + row);
+                let first = (y * rect.width as usize + x) * BYTES;
+                pixels[first..first + row_bytes].copy_from_slice(bytes);
+            }
+        }
+        Ok(pixels)
+    }
+
+    /// The recorded tiles that `rect`, which is one or several of them, is made of.
+    fn recorded(&self, rect: Rect) -> impl Iterator<Item = TileId> {
+        let (grid, side) = (self.file.grid(), self.file.recording().tile);
+        let rows = rect.y / side..(rect.y + rect.height).div_ceil(side);
+        let columns = rect.x / side..(rect.x + rect.width).div_ceil(side);
+        rows.flat_map(move |row| columns.clone().map(move |column| TileId(row * grid.columns() + column)))
     }
 }
 
@@ -131,7 +160,7 @@ mod tests {
         let (_folder, replay) = device(3000, 2.0, 0.5, Duration::from_micros(500));
         let expected = [12_500, 24_500, 12_500].map(Duration::from_micros);
         for (number, expected) in (1..).zip(expected) {
-            assert_eq!(replay.time(entry(&task(number).frame), TileId(0)), Some(expected));
+            assert_eq!(replay.time(entry(&task(number).frame), task(number).rect), Some(expected));
         }
         // It waits at least that long, and has the frame's own pixels.
         let begun = Instant::now();
@@ -140,6 +169,28 @@ mod tests {
         };
         assert!(begun.elapsed() >= expected[1]);
         assert_eq!(pixels, [2; 256]);
+    }
+
+    #[test]
+    fn tiles_of_several_recorded_ones_take_their_times_and_have_their_pixels() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("r");
+        let mut recording = Recording::new(20, 12, 4);
+        recording.tile_us = vec![(1..=15).collect()];
+        let picture: Vec<u8> = (0..20 * 12u32).flat_map(|i| i.to_le_bytes()).collect();
+        recording.write(&file, &[&picture]).unwrap();
+        let device = ReplayConfig { file, scale: 1.0, speed: 1.0, launch: Duration::ZERO };
+        let replay = Replay::open(&device).unwrap();
+        let grid = tessera_wire::TileGrid::new(20, 12, 8).unwrap();
+        let mut sum = Duration::ZERO;
+        for rect in (0..grid.tiles()).filter_map(|tile| grid.rect(TileId(tile))) {
+            sum += replay.time(0, rect).unwrap();
+            let rows = rect.y..rect.y + rect.height;
+            let cut = rows
+                .flat_map(|y| (rect.x..rect.x + rect.width).flat_map(move |x| (y * 20 + x).to_le_bytes()));
+            assert_eq!(replay.pixels(0, rect).unwrap(), cut.collect::<Vec<_>>(), "{rect:?}");
+        }
+        assert_eq!(sum, Duration::from_micros((1..=15).sum()));
     }
 
     #[test]

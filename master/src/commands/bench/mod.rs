@@ -38,6 +38,8 @@ pub enum BenchCommand {
     Pack(pack::PackArgs),
     /// Error against run time, by every knob that trades one for the other
     ErrorTime(error_time::ErrorTimeArgs),
+    /// How frame time falls with workers, by balancing and link
+    Scale(scale::command::ScaleArgs),
     /// Seconds of a frame on a GPU and on the CPU, by what the GPU's kernels are made of
     Gpu(gpu::GpuArgs),
     /// What the transport of frames gets out of emulated links, beside what they have to give
@@ -56,6 +58,7 @@ pub fn run(command: BenchCommand, progress: &Progress) -> Result<(), CommandErro
         BenchCommand::Build(args) => !args.json,
         BenchCommand::Pack(args) => !args.json,
         BenchCommand::ErrorTime(args) => !args.json,
+        BenchCommand::Scale(args) => !args.json,
         BenchCommand::Gpu(args) => !args.json,
         BenchCommand::Link(args) => !args.json,
         BenchCommand::BuildOne(_) | BenchCommand::Relay(_) => false,
@@ -66,6 +69,7 @@ pub fn run(command: BenchCommand, progress: &Progress) -> Result<(), CommandErro
         BenchCommand::Build(args) => build::run(args, progress),
         BenchCommand::Pack(args) => pack::run(args, progress),
         BenchCommand::ErrorTime(args) => error_time::run(&args, progress),
+        BenchCommand::Scale(args) => scale::command::run(&args, progress),
         BenchCommand::Gpu(args) => gpu::run(&args, progress),
         BenchCommand::BuildOne(args) => build::run_one(&args),
         BenchCommand::Link(args) => scale::link_bench::run(&args, progress),

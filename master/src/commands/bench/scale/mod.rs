@@ -1,8 +1,14 @@
-//! Links and devices that this machine has not: emulated, measured, and stated.
+//! Links and devices that this machine has not: emulated, measured, and stated; clusters of them, real and simulated.
 
-pub mod devices;
-pub mod link;
+mod case;
+pub mod command;
+mod devices;
+mod link;
 pub mod link_bench;
-pub mod medium;
+mod medium;
+mod real;
+mod recorded;
 pub mod relay;
-pub mod relay_process;
+mod relay_process;
+mod sim;
+mod simulated;

@@ -1,0 +1,94 @@
+//! What is measured, and what comes of it.
+
+use super::link::LinkProfile;
+use serde::Serialize;
+use std::time::Duration;
+use tessera_master::{Balance, TileRecord};
+
+/// One cluster and one way of balancing.
+#[derive(Clone, Debug)]
+pub struct Case {
+    pub link: LinkProfile,
+    pub balance: Balance,
+    /// Of each worker.
+    pub speeds: Vec<f64>,
+}
+
+/// A frame of a case.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    pub took: Duration,
+    /// UDP payload in both directions.
+    pub bytes: u64,
+    /// Side of its tiles, and how many there are.
+    pub tile: u32,
+    pub tiles: u32,
+    pub records: Vec<TileRecord>,
+    pub dropped: u64,
+    /// Of the image.
+    pub hash: String,
+    /// Why it was balanced as it was, for `auto`.
+    pub why: Option<String>,
+}
+
+/// A line of the CSV file.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    pub scene: String,
+    pub link: String,
+    pub balance: &'static str,
+    pub workers: usize,
+    /// `replay`, `real` or `simulated`.
+    pub device: &'static str,
+    pub run: u32,
+    pub frame: u32,
+    pub frame_ms: f64,
+    /// Sum of tile costs over sum of speeds, and one worker's share of the bytes on the link.
+    pub ideal_ms: f64,
+    pub bytes: u64,
+    /// Side of a tile.
+    pub tile: u32,
+    /// Time of a tile, all together, over the sum of the workers' time.
+    pub busy_share: f64,
+    /// Results that were dropped.
+    pub dropped: u64,
+    /// What the simulator says that the frame takes, where it was asked.
+    pub predicted_ms: Option<f64>,
+}
+
+impl Case {
+    /// The shortest time that a frame can take that costs one worker of speed 1 `work` and has `bytes` on the wire.
+    pub fn ideal(&self, work: Duration, bytes: u64) -> Duration {
+        let speeds: f64 = self.speeds.iter().sum();
+        let share = bytes as f64 / self.speeds.len() as f64;
+        let rate = self.link.mbit_up.map_or(f64::INFINITY, |mbit| mbit * 125_000.0);
+        work.div_f64(speeds)
+            + Duration::from_secs_f64(share / rate)
+            + Duration::from_secs_f64(1e-3 * self.link.latency_ms)
+    }
+}
+
+impl Measured {
+    /// Time that tiles took, all together, over that of `workers`.
+    pub fn busy_share(&self, workers: usize) -> f64 {
+        let busy: Duration = self.records.iter().map(|tile| tile.render).sum();
+        busy.as_secs_f64() / (workers as f64 * self.took.as_secs_f64())
+    }
+}
+
+/// Milliseconds.
+pub fn ms(time: Duration) -> f64 {
+    1e3 * time.as_secs_f64()
+}
+
+/// Of the middle; the mean of the two in the middle.
+pub fn median(values: &[f64]) -> Option<f64> {
+    let mut values = values.to_vec();
+    values.sort_by(f64::total_cmp);
+    let middle = values.len() / 2;
+    match values.len() {
+        0 => None,
+        n if n % 2 == 1 => Some(values[middle]),
+        _ => Some(0.5 * (values[middle - 1] + values[middle])),
+    }
+}

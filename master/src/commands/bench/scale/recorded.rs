@@ -1,0 +1,95 @@
+//! A frame that was rendered once, of which devices are played: what each place of it cost, and its pixels.
+
+use crate::commands::CommandError;
+use crate::commands::progress::Progress;
+use crate::commands::run::{Crew, LocalCrew, Session};
+use std::path::Path;
+use std::time::Duration;
+use tessera_master::FrameJob;
+use tessera_pack::Pack;
+use tessera_wire::{Rect, TileGrid, TileId};
+use tessera_worker::Recording;
+
+/// A recorded frame. Tiles of any multiple of its side are as long as the recorded ones in them.
+pub struct Recorded {
+    grid: TileGrid,
+    /// By recorded tile.
+    micros: Vec<u32>,
+    /// Of the image, RGBA8.
+    pixels: Vec<u8>,
+    /// Of the image.
+    pub hash: String,
+}
+
+impl Recorded {
+    /// Sides of tiles that are recorded: a frame of devices can have tiles of this side or a multiple.
+    pub const SIDE: u32 = 16;
+
+    /// Renders the frame of `job` on one core of this machine.
+    pub fn render(pack: &Pack, job: &FrameJob, progress: &Progress) -> Result<Self, CommandError> {
+        let crew = Crew::Local(LocalCrew { threads: Some(1), ..LocalCrew::this_process() });
+        let mut session = Session::open(pack, &crew, progress)?;
+        let job = FrameJob { tile: Self::SIDE, ..job.clone() };
+        // The first frame finds caches cold; devices that render all day do not.
+        session.render(&job)?;
+        let frame = session.render(&job)?;
+        session.close();
+        let grid = TileGrid::new(job.width, job.height, job.tile).map_err(CommandError::failed)?;
+        let mut micros = vec![0; grid.tiles() as usize];
+        for tile in frame.tiles.iter().filter(|tile| tile.is_first) {
+            // No tile is free: a played one has a render call as well.
+            micros[tile.tile.0 as usize] = u32::try_from(tile.render.as_micros()).unwrap_or(u32::MAX).max(1);
+        }
+        Ok(Self { grid, micros, hash: frame.image.hash().to_string(), pixels: frame.image.data().to_vec() })
+    }
+
+    /// Writes it for devices to play.
+    pub fn write(&self, path: &Path) -> Result<(), CommandError> {
+        let (width, height) = self.grid.size();
+        let mut recording = Recording::new(width, height, self.grid.tile());
+        recording.tile_us = vec![self.micros.clone()];
+        recording.write(path, &[&self.pixels]).map_err(CommandError::failed)
+    }
+
+    /// What the frame took one core.
+    pub fn total(&self) -> Duration {
+        Duration::from_micros(self.micros.iter().map(|us| u64::from(*us)).sum())
+    }
+
+    /// What `rect`, a recorded tile or several, took one core.
+    pub fn cost(&self, rect: Rect) -> Duration {
+        let side = self.grid.tile();
+        let rows = rect.y / side..(rect.y + rect.height).div_ceil(side);
+        let columns = rect.x / side..(rect.x + rect.width).div_ceil(side);
+        let row = |row| columns.clone().map(move |column| row * self.grid.columns() + column);
+        Duration::from_micros(rows.flat_map(row).map(|tile| u64::from(self.micros[tile as usize])).sum())
+    }
+
+    /// The pixels of `rect`.
+    pub fn pixels(&self, rect: Rect) -> Vec<u8> {
+        let width = self.grid.size().0 as usize;
+        let row = |y: u32| {
+            let first = 4 * (y as usize * width + rect.x as usize);
+            &self.pixels[first..first + 4 * rect.width as usize]
+        };
+        (rect.y..rect.y + rect.height).flat_map(row).copied().collect()
+    }
+
+    /// The most that a tile of `side` costs over the mean, and the same of the paper's columns, `workers` of them.
+    pub fn spread(&self, side: u32, workers: u32) -> (f64, f64) {
+        let (width, height) = self.grid.size();
+        let Ok(grid) = TileGrid::new(width, height, side) else { return (1.0, 1.0) };
+        let costs: Vec<_> = (0..grid.tiles())
+            .filter_map(|tile| grid.rect(TileId(tile)))
+            .map(|rect| self.cost(rect).as_secs_f64())
+            .collect();
+        let total: f64 = costs.iter().sum();
+        let over_mean = |parts: &[f64]| {
+            parts.iter().copied().fold(0.0, f64::max)
+                / (total / parts.len().max(1) as f64).max(f64::MIN_POSITIVE)
+        };
+        let mut loads = vec![0.0; workers.max(1) as usize];
+        costs.iter().enumerate().for_each(|(tile, cost)| loads[tile % workers.max(1) as usize] += cost);
+        (over_mean(&costs), over_mean(&loads))
+    }
+}

@@ -1,0 +1,69 @@
+//! Cases in the simulator.
+
+use super::case::{Case, Measured};
+use super::recorded::Recorded;
+use super::sim::{Costs, Fault, Plot, simulate};
+use crate::commands::CommandError;
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::time::Duration;
+use tessera_master::FrameJob;
+use tessera_wire::Rect;
+
+/// Devices that are nowhere.
+pub struct Simulated<'a> {
+    pub recorded: &'a Recorded,
+    /// What a second of the recording takes a device of speed 1.
+    pub scale: f64,
+    /// What a tile costs besides.
+    pub launch: Duration,
+    pub costs: Costs,
+}
+
+impl Simulated<'_> {
+    /// Frames of a case, the first ones too, in which policies learn.
+    pub fn run(
+        &self,
+        case: &Case,
+        job: &FrameJob,
+        frames: usize,
+        faults: &[Fault],
+    ) -> Result<Vec<Measured>, CommandError> {
+        let cost = |_: usize, rect: Rect| self.recorded.cost(rect).mul_f64(self.scale) + self.launch;
+        // A tile is coded once: its bytes are the same in every frame.
+        let coded = RefCell::new(BTreeMap::<(u32, u32, u32), u32>::new());
+        let bytes_of = |rect: Rect| {
+            let key = (rect.x, rect.y, rect.width);
+            *coded.borrow_mut().entry(key).or_insert_with(|| self.coded(rect))
+        };
+        let job = FrameJob { balance: case.balance, ..job.clone() };
+        let plot = Plot {
+            link: &case.link,
+            speeds: &case.speeds,
+            cost: &cost,
+            coded: &bytes_of,
+            job: &job,
+            frames,
+            costs: self.costs,
+            faults,
+        };
+        let frames = simulate(&plot).map_err(CommandError::Failed)?;
+        let measured = frames.into_iter().map(|frame| Measured {
+            took: frame.took,
+            bytes: frame.bytes,
+            tile: frame.tile,
+            tiles: frame.count,
+            records: frame.tiles,
+            dropped: frame.dropped,
+            // The simulator has compared every pixel; they are its own.
+            hash: self.recorded.hash.clone(),
+            why: frame.why,
+        });
+        Ok(measured.collect())
+    }
+
+    /// Bytes of `rect` on the wire.
+    fn coded(&self, rect: Rect) -> u32 {
+        4 * rect.width * rect.height
+    }
+}
