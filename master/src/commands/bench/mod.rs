@@ -3,6 +3,7 @@
 mod build;
 pub(super) mod clock;
 mod error_time;
+mod folder;
 mod generate;
 pub(super) mod gpu;
 mod gpu_lines;

@@ -6,6 +6,7 @@ mod measure;
 mod page;
 mod pareto;
 
+use super::folder::{Folder, command_line};
 use crate::commands::args::Size;
 use crate::commands::page::{Theme, write_csv};
 use crate::commands::progress::Progress;
@@ -18,8 +19,7 @@ use lines::Summary;
 use measure::{Studio, Turned};
 use page::Facts;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
-use tessera_master::OutputFile;
+use std::path::PathBuf;
 use tessera_master::prepare::choose_camera;
 use tessera_scene::Without;
 use tessera_wire::{Features, Sampling, limits};
@@ -167,88 +167,50 @@ pub fn run(args: &ErrorTimeArgs, progress: &Progress) -> Result<(), CommandError
         report.knobs.push(summary);
         // What is done is kept, whatever happens to the next.
         if let Some(out) = &out {
-            out.write(&report, &look, args, &turned)?;
+            write_files(out, &report, &look, args, &turned)?;
         }
     }
     if args.json {
         return print_json(&report);
     }
     match &out {
-        Some(out) => print_text(&format!("\nwrote      {}\n", out.path.join("index.html").display())),
+        Some(out) => print_text(&format!("\nwrote      {}\n", out.path("index.html").display())),
         None => Ok(()),
     }
 }
 
-/// The folder that the page goes to.
-struct Folder {
-    path: PathBuf,
-}
-
-impl Folder {
-    /// Makes it if it is not there, and checks that files can be written to it, before minutes of work.
-    fn check(path: &Path) -> Result<Self, CommandError> {
-        std::fs::create_dir_all(path).map_err(|e| {
-            CommandError::Failed(format!(
-                "--out {}: {e}; name a folder that can be made or written",
-                path.display()
-            ))
-        })?;
-        OutputFile::check(&path.join("index.html")).map_err(CommandError::failed)?;
-        Ok(Self { path: path.to_owned() })
+/// Writes the page, the plots and the figures.
+fn write_files(
+    folder: &Folder,
+    report: &Report<'_>,
+    look: &Look,
+    args: &ErrorTimeArgs,
+    turned: &[Turned],
+) -> Result<(), CommandError> {
+    let summaries = &report.knobs;
+    let seconds =
+        summaries.iter().flat_map(|summary| &summary.rows).map(|row| row.seconds(args.clock).min);
+    let facts = Facts {
+        args,
+        scene: report.scene,
+        triangles: report.triangles,
+        camera: report.camera,
+        look,
+        command: report.command.to_owned(),
+        clock_s: report.clock_s,
+        fastest_s: seconds.fold(f64::INFINITY, f64::min),
+        harness_share: turned.iter().map(|turned| turned.harness_share).fold(0.0, f64::max),
+    };
+    folder.write("index.html", page::page(&facts, turned, summaries)?.html().as_bytes())?;
+    for (turned, summary) in turned.iter().zip(summaries) {
+        let plot = page::plot(turned.knob, summary, args.clock);
+        folder.write(&format!("{}.svg", turned.knob), plot.svg().as_bytes())?;
+        folder.write(&format!("{}.png", turned.knob), &plot.png(Theme::Light))?;
     }
-
-    /// Writes the page, the plots and the figures.
-    fn write(
-        &self,
-        report: &Report<'_>,
-        look: &Look,
-        args: &ErrorTimeArgs,
-        turned: &[Turned],
-    ) -> Result<(), CommandError> {
-        let summaries = &report.knobs;
-        let seconds =
-            summaries.iter().flat_map(|summary| &summary.rows).map(|row| row.seconds(args.clock).min);
-        let facts = Facts {
-            args,
-            scene: report.scene,
-            triangles: report.triangles,
-            camera: report.camera,
-            look,
-            command: report.command.to_owned(),
-            clock_s: report.clock_s,
-            fastest_s: seconds.fold(f64::INFINITY, f64::min),
-            harness_share: turned.iter().map(|turned| turned.harness_share).fold(0.0, f64::max),
-        };
-        self.file("index.html", page::page(&facts, turned, summaries)?.html().as_bytes())?;
-        for (turned, summary) in turned.iter().zip(summaries) {
-            let plot = page::plot(turned.knob, summary, args.clock);
-            self.file(&format!("{}.svg", turned.knob), plot.svg().as_bytes())?;
-            self.file(&format!("{}.png", turned.knob), &plot.png(Theme::Light))?;
-        }
-        let (header, rows) = lines::csv(report.scene, summaries);
-        let mut table = Vec::new();
-        write_csv(&mut table, &header, &rows).map_err(CommandError::failed)?;
-        self.file("error-time.csv", &table)?;
-        let json = serde_json::to_vec_pretty(report).map_err(CommandError::failed)?;
-        self.file("error-time.json", &json)
-    }
-
-    fn file(&self, name: &str, content: &[u8]) -> Result<(), CommandError> {
-        let file = OutputFile::check(&self.path.join(name)).map_err(CommandError::failed)?;
-        file.write_bytes(content).map_err(CommandError::failed)
-    }
-}
-
-/// The words that this process was started with, so that a reader can start it again.
-fn command_line() -> String {
-    let words = std::env::args_os().skip(1).map(|word| {
-        let word = word.to_string_lossy().into_owned();
-        let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=@%+".contains(c);
-        if !word.is_empty() && word.chars().all(is_plain) {
-            word
-        } else {
-            format!("'{}'", word.replace('\'', r"'\''"))
-        }
-    });
-    std::iter::once("tessera".to_owned()).chain(words).collect::<Vec<_>>().join(" ")
+    let (header, rows) = lines::csv(report.scene, summaries);
+    let mut table = Vec::new();
+    write_csv(&mut table, &header, &rows).map_err(CommandError::failed)?;
+    folder.write("error-time.csv", &table)?;
+    let json = serde_json::to_vec_pretty(report).map_err(CommandError::failed)?;
+    folder.write("error-time.json", &json)
 }
