@@ -227,6 +227,8 @@ pub struct FrameResult<I = FrameBuffer> {
     pub rays: Rays,
     /// Results that came twice or too late, or of a class that was lost, and were dropped.
     pub dropped_tiles: u64,
+    /// How its pixels travelled; for a frame of a master elsewhere, whether they were rounded is all that is known.
+    pub coding: Coding,
     /// Every result that came for this frame, in the order of coming, dropped ones too; empty for a frame of a master elsewhere.
     pub tiles: Vec<TileRecord>,
 }
@@ -274,6 +276,7 @@ impl<I> FrameResult<I> {
             traffic,
             rays,
             dropped_tiles,
+            coding,
             tiles,
         } = self;
         let after = FrameResult {
@@ -287,6 +290,7 @@ impl<I> FrameResult<I> {
             traffic,
             rays,
             dropped_tiles,
+            coding,
             tiles,
         };
         (after, before)
