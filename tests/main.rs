@@ -22,6 +22,7 @@ mod leaks;
 #[cfg(target_os = "linux")]
 mod machines;
 mod oracle;
+mod pixels;
 mod processes;
 mod rays;
 mod referee;

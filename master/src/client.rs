@@ -9,8 +9,8 @@ use crate::{
 use std::time::{Duration, Instant};
 use tessera_pack::Pack;
 use tessera_wire::{
-    AbortCode, FrameFailure, FrameId, FrameSummary, FromClient, Hello, PackId, PackRefusal, Refusal, Role,
-    ToClient, Token, Version, limits, plain_text,
+    AbortCode, Coding, FrameFailure, FrameId, FrameSummary, FromClient, Hello, PackId, PackRefusal, Refusal,
+    Role, ToClient, Token, Version, limits, plain_text,
 };
 use tokio::{io::AsyncReadExt, time::timeout};
 
@@ -194,7 +194,7 @@ impl Client {
         let summary = read_message::<FrameSummary>(&mut self.pipes.bulk_in, limits::HEADER_BYTES).await?;
         let (summary, _) = summary.ok_or_else(|| ClientError::Lost("it ends before the image".into()))?;
         summary.check(&frame).map_err(ClientError::Protocol)?;
-        Ok(result(summary, pack))
+        Ok(FrameResult { coding: frame.coding, ..result(summary, pack) })
     }
 
     async fn write(&mut self, message: FromClient) -> Result<(), ClientError> {
@@ -271,6 +271,7 @@ fn result(summary: FrameSummary, pack: PackId) -> FrameResult<()> {
         traffic: Traffic { sent, received, udp_sent, udp_received },
         rays: summary.rays,
         dropped_tiles: summary.dropped_tiles,
+        coding: Coding::Raw,
         tiles: Vec::new(),
         tile: 0,
         why: None,

@@ -3,6 +3,7 @@
 use crate::{
     FrameJob, FrameResult, Link, OutputError, PngStream, Progress, Timings, Traffic,
     admission::{Admission, Admitted},
+    coding::{CodingChoice, Shown},
     coordinator::{BeginError, Coordinator, Event, FrameStatus, Outcome, Output},
     door::{self, Door, Guest},
     line::{Counters, Input, Line, Tile},
@@ -106,6 +107,8 @@ pub struct Cluster {
     /// That one, and earlier ones that a worker is still taking.
     packs: Vec<Pack>,
     send_scene: Duration,
+    /// How pixels travel where that is left to us.
+    coding: CodingChoice,
     /// Name and reason of the worker that was lost last.
     last_lost: String,
 }
@@ -270,6 +273,7 @@ impl Cluster {
     ) -> Result<FrameResult, RenderError> {
         let pack = self.pack.ok_or(RenderError::NoPack)?;
         self.measure_links();
+        let job = &self.coded(job);
         self.coordinator.begin(job, self.now())?;
         let outcome = self.run(job, None, &mut progress).await?;
         Ok(self.result(pack, outcome))
@@ -286,6 +290,7 @@ impl Cluster {
     ) -> Result<FrameResult<()>, RenderError> {
         let pack = self.pack.ok_or(RenderError::NoPack)?;
         self.measure_links();
+        let job = &self.coded(job);
         self.coordinator.begin_rows(job, self.now())?;
         let outcome = self.run(job, Some(stream), &mut progress).await?;
         let (result, rest) = self.result(pack, outcome).with_image(());
@@ -388,6 +393,7 @@ impl Cluster {
             pack: None,
             packs: Vec::new(),
             send_scene: Duration::ZERO,
+            coding: CodingChoice::default(),
             last_lost: String::new(),
         }
     }
@@ -634,7 +640,17 @@ impl Cluster {
         }
     }
 
-    fn result(&self, pack: PackId, mut outcome: Outcome) -> FrameResult {
+    /// `job`, with what is left to us about its pixels decided.
+    fn coded(&mut self, job: &FrameJob) -> FrameJob {
+        let is_remote = self.lines.values().any(Line::is_remote);
+        let coding = job.coding.unwrap_or_else(|| self.coding.choose(is_remote));
+        FrameJob { coding: Some(coding), ..job.clone() }
+    }
+
+    fn result(&mut self, pack: PackId, mut outcome: Outcome) -> FrameResult {
+        let Counters { arrival, unpacking, .. } = &*self.counters;
+        let packing = Shown::of_tiles(&outcome.tiles);
+        self.coding.learn(&Shown { arrival: arrival.take(), unpacking: unpacking.take(), packing });
         // By ticket: processes join in any order.
         let place = |name: &str| self.locals.iter().position(|local| local.name == name);
         let mut order: Vec<_> = (0..outcome.workers.len()).collect();
@@ -654,6 +670,7 @@ impl Cluster {
             traffic: self.traffic(),
             rays: outcome.rays,
             dropped_tiles: outcome.dropped_tiles,
+            coding: outcome.coding,
             tiles: outcome.tiles,
             tile: outcome.tile,
             why: outcome.why,

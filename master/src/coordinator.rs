@@ -17,8 +17,8 @@ use std::{
     time::Duration,
 };
 use tessera_wire::{
-    AbortCode, FrameError, FrameId, PackId, PackRefusal, Rays, Refusal, TileEntry, ToMaster, ToWorker,
-    WorkerId, limits,
+    AbortCode, Coding, FrameError, FrameId, PackId, PackRefusal, Rays, Refusal, TileEntry, ToMaster,
+    ToWorker, WorkerId, limits,
 };
 
 /// What the driver has to do, or to know.
@@ -123,6 +123,8 @@ pub struct Outcome {
     pub rays: Rays,
     /// Results dropped.
     pub dropped_tiles: u64,
+    /// How its pixels travelled.
+    pub coding: Coding,
     /// Every result; `worker` counts in `workers`.
     pub tiles: Vec<TileRecord>,
     /// Side of its tiles, and how many there are.

@@ -234,6 +234,8 @@ pub struct FrameResult<I = FrameBuffer> {
     pub rays: Rays,
     /// Results that came twice or too late, or of a class that was lost, and were dropped.
     pub dropped_tiles: u64,
+    /// How its pixels travelled; for a frame of a master elsewhere, whether they were rounded is all that is known.
+    pub coding: Coding,
     /// Every result that came for this frame, in the order of coming, dropped ones too; empty for a frame of a master elsewhere.
     pub tiles: Vec<TileRecord>,
     /// Side of its tiles; 0 for a frame of a master elsewhere.
@@ -285,6 +287,7 @@ impl<I> FrameResult<I> {
             traffic,
             rays,
             dropped_tiles,
+            coding,
             tiles,
             tile,
             why,
@@ -300,6 +303,7 @@ impl<I> FrameResult<I> {
             traffic,
             rays,
             dropped_tiles,
+            coding,
             tiles,
             tile,
             why,

@@ -8,6 +8,7 @@ mod bands;
 mod client;
 mod clients;
 mod cluster;
+mod coding;
 pub mod compare;
 pub mod coordinator;
 mod difference;

@@ -9,16 +9,16 @@ use std::{
         Arc,
         atomic::{AtomicU64, Ordering},
     },
-    time::Duration,
+    time::{Duration, Instant},
 };
 use tessera_pack::Pack;
 use tessera_wire::{
-    AbortCode, BatchHeader, FrameId, TileCoding, TileEntry, ToMaster, ToWorker, WorkerId, limits,
+    AbortCode, BatchHeader, FrameId, TileCoding, TileEntry, ToMaster, ToWorker, WorkerId, limits, pixels,
 };
 use tokio::{
     io::AsyncWriteExt,
     sync::mpsc,
-    task::{JoinHandle, JoinSet},
+    task::{JoinHandle, JoinSet, spawn_blocking},
     time::timeout,
 };
 
@@ -58,6 +58,31 @@ pub(crate) struct Counters {
     pub(crate) pack: AtomicU64,
     /// Of the largest tile that any frame so far has had.
     pub(crate) tile_bytes: AtomicU64,
+    /// Of `received`, bytes of tiles, and how long they were waited for once their header was there.
+    pub(crate) arrival: Effort,
+    /// Pixels of packed tiles, and how long unpacking them took.
+    pub(crate) unpacking: Effort,
+}
+
+/// Bytes, and the time that they took.
+#[derive(Default)]
+pub(crate) struct Effort {
+    bytes: AtomicU64,
+    nanoseconds: AtomicU64,
+}
+
+impl Effort {
+    fn add(&self, bytes: usize, time: Duration) {
+        let nanoseconds = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+        self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
+        self.nanoseconds.fetch_add(nanoseconds, Ordering::Relaxed);
+    }
+
+    /// What has come since this was asked last.
+    pub(crate) fn take(&self) -> (u64, Duration) {
+        let bytes = self.bytes.swap(0, Ordering::Relaxed);
+        (bytes, Duration::from_nanos(self.nanoseconds.swap(0, Ordering::Relaxed)))
+    }
 }
 
 /// A connected worker.
@@ -104,6 +129,11 @@ impl Line {
     /// Queues a pack.
     pub(crate) fn send_pack(&self, pack: Pack) {
         let _ = self.packs.send(pack);
+    }
+
+    /// Whether bytes to and from it are more than copied.
+    pub(crate) fn is_remote(&self) -> bool {
+        self.connection.is_some()
     }
 
     /// Whether [`Line::close`] was called.
@@ -231,18 +261,34 @@ async fn read_batch(
             let detail = format!("a tile of {bytes} bytes, no frame had one of more than {most}");
             return Err(PipeError::Malformed(detail));
         }
-        if entry.coding == TileCoding::Packed {
-            return Err(PipeError::Malformed("a packed tile, and none was asked for".into()));
-        }
-        let pixels = read_raw(pipe, entry.length as usize).await?;
-        counters.received.fetch_add(pixels.len() as u64, Ordering::Relaxed);
-        let wire_bytes = std::mem::take(&mut header_share) + pixels.len() as u64;
+        let begin = Instant::now();
+        let bytes = read_raw(pipe, entry.length as usize).await?;
+        counters.arrival.add(bytes.len(), begin.elapsed());
+        counters.received.fetch_add(bytes.len() as u64, Ordering::Relaxed);
+        let wire_bytes = std::mem::take(&mut header_share) + bytes.len() as u64;
+        let pixels = match entry.coding {
+            TileCoding::Raw => bytes,
+            TileCoding::Packed => {
+                let begin = Instant::now();
+                let pixels = unpack(entry.pixel_bytes as usize, bytes).await?;
+                counters.unpacking.add(pixels.len(), begin.elapsed());
+                pixels
+            }
+        };
         let tile = Tile { frame: header.frame, entry, pixels, wire_bytes };
         if tell.send(Input::Tile(worker, tile)).await.is_err() {
             return Ok(false);
         }
     }
     Ok(true)
+}
+
+/// The pixels of a packed tile, whose length was held against the frames' tiles.
+async fn unpack(pixel_bytes: usize, bytes: Vec<u8>) -> Result<Vec<u8>, PipeError> {
+    // Milliseconds of work, more for large tiles: too long for a thread that other workers' pipes wait for.
+    let work = spawn_blocking(move || pixels::decode(pixel_bytes, &bytes));
+    let unpacked = work.await.map_err(|e| PipeError::Io(std::io::Error::other(e)))?;
+    unpacked.map_err(PipeError::Malformed)
 }
 
 async fn write_packs(

@@ -1,7 +1,9 @@
 //! What is said about a render: one JSON object, or text for people.
 
 use crate::compare::Comparison;
-use crate::{ClassDifference, ClassPart, FrameJob, FrameResult, ImageHash, PixelFormat, Prepared};
+use crate::{
+    ClassDifference, ClassPart, FrameJob, FrameResult, ImageHash, PixelFormat, Prepared, TileRecord,
+};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -9,6 +11,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 use tessera_geometry::CameraPose;
 use tessera_scene::LeftOut;
+use tessera_wire::Coding;
 
 /// A render, as `--report` and `--json` write it. Times in milliseconds, lengths in bytes.
 #[derive(Clone, Debug, Serialize)]
@@ -70,6 +73,8 @@ pub struct RenderReport {
     pub ms: Milliseconds,
     /// UDP payload in both directions since the workers were started; for a render in this process the bytes of its messages.
     pub bytes_on_wire: u64,
+    /// How pixels travelled; null for a frame of a master elsewhere.
+    pub pixels: Option<PixelsReport>,
     /// Bytes of the pack.
     pub bytes_pack: u64,
     /// Rays of the image by kind.
@@ -85,6 +90,36 @@ pub struct RenderReport {
     pub warnings: Vec<String>,
     /// Defaults in use, and where a generated scene comes from.
     pub notes: Vec<String>,
+}
+
+/// How the pixels of a frame travelled from workers.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct PixelsReport {
+    /// `raw`, `lossless`, or `rounded`: colours are then up to a code of 8 bits off, and the image hash is that of the rounded picture.
+    pub coding: &'static str,
+    /// Bytes of pixels, those of tiles that came twice too.
+    pub bytes_raw: u64,
+    /// What they took, with their headers.
+    pub bytes_wire: u64,
+    /// The second for each of the first.
+    pub ratio: f64,
+    /// Time that workers spent coding, all together.
+    pub coding_ms: f64,
+}
+
+impl PixelsReport {
+    /// Of a frame whose tiles are known.
+    fn new<I>(result: &FrameResult<I>) -> Option<Self> {
+        let sum = |of: fn(&TileRecord) -> u64| result.tiles.iter().map(of).sum::<u64>();
+        let (bytes_raw, bytes_wire) = (sum(|tile| tile.pixel_bytes.into()), sum(|tile| tile.wire_bytes));
+        (bytes_raw > 0).then(|| Self {
+            coding: result.coding.name(),
+            bytes_raw,
+            bytes_wire,
+            ratio: bytes_wire as f64 / bytes_raw as f64,
+            coding_ms: ms(result.tiles.iter().map(|tile| tile.coding).sum()),
+        })
+    }
 }
 
 /// A view in world space.
@@ -371,6 +406,7 @@ impl RenderReport {
                 write: ms(write),
             },
             bytes_on_wire: if udp > 0 { udp } else { traffic.sent + traffic.received },
+            pixels: PixelsReport::new(result),
             bytes_pack: prepared.pack.bytes().len() as u64,
             rays: Rays {
                 primary: result.rays.primary,
@@ -447,6 +483,16 @@ impl RenderReport {
         }
         self.write_classes(t)?;
         writeln!(t, "wire       {}", bytes(self.bytes_on_wire))?;
+        if let Some(PixelsReport { coding, bytes_raw, bytes_wire, ratio, coding_ms }) = self.pixels {
+            let (from, to) = (bytes(bytes_raw), bytes(bytes_wire));
+            writeln!(t, "pixels     {coding}: {from} as {to} ({ratio:.3}), {coding_ms:.0} ms of coding")?;
+            if coding == Coding::Rounded.name() {
+                writeln!(
+                    t,
+                    "           colours are rounded, by at most a code of 8 bits: PSNR 48 dB or more"
+                )?;
+            }
+        }
         if let Some(error) = &self.error {
             writeln!(t, "error      against {}", error.against)?;
             writeln!(t, "           {}", ErrorStep::HEAD)?;

@@ -6,6 +6,7 @@
 
 mod backend;
 mod cache;
+mod coding;
 mod join;
 mod local;
 mod memory;

@@ -1,7 +1,9 @@
 //! A worker's life on four pipes: join, hold a pack, render what is assigned, go.
 
 use crate::{
-    Backend, PackCache, PackFault, free_memory,
+    Backend, PackCache, PackFault,
+    coding::code_batches,
+    free_memory,
     join::JoinError,
     pipes::{PipeError, Reader, Writer, read_message, reason, write_message},
     receive::{Assembly, receive},
@@ -398,11 +400,13 @@ async fn write_control(mut pipe: Writer, mut messages: mpsc::UnboundedReceiver<T
 
 async fn write_bulk(
     mut pipe: Writer,
-    mut batches: mpsc::UnboundedReceiver<Batch>,
+    batches: mpsc::UnboundedReceiver<Batch>,
     begun: Instant,
     tell: mpsc::Sender<Event>,
 ) {
-    while let Some(batch) = batches.recv().await {
+    let (coded, mut ready) = mpsc::channel(1);
+    let coder = tokio::spawn(code_batches(batches, coded));
+    while let Some(batch) = ready.recv().await {
         let event = match write_batch(&mut pipe, batch, begun).await {
             Ok(()) => Event::BatchSent,
             // A master that cuts the connection stops reading first. Its control pipe tells why, and this one must not be before it.
@@ -412,6 +416,9 @@ async fn write_bulk(
         if tell.send(event).await.is_err() {
             return;
         }
+    }
+    if let Ok(Err(e)) | Err(e) = coder.await {
+        let _ = tell.send(Event::RenderingFailed(format!("coding tiles failed: {e}"))).await;
     }
     let _ = pipe.shutdown().await;
 }
@@ -499,7 +506,7 @@ fn ending_to_result(ending: Ending) -> Result<Parting, WorkerError> {
 mod tests {
     use super::*;
     use crate::{BackendChoice, BackendConfig};
-    use tessera_wire::{BatchHeader, FrameId};
+    use tessera_wire::{BatchHeader, Camera, Coding, Frame, FrameId, PixelFormat, ReturnMode};
 
     /// The master stops reading and writing its bulk pipe before its `Abort` arrives: the worker waits for that.
     #[tokio::test]
@@ -519,9 +526,24 @@ mod tests {
         assert!(told.try_recv().is_err());
 
         let (bulk, batches) = mpsc::unbounded_channel();
+        let frame = Frame {
+            frame: FrameId(1),
+            pack: PackId([1; 32]),
+            camera: Camera { origin: [0.0; 3], forward: [1.0; 3], right: [1.0; 3], up: [1.0; 3] },
+            width: 5,
+            height: 5,
+            tile: 5,
+            samples: 1,
+            sampling: Default::default(),
+            depth: 1,
+            seed: 0,
+            features: Default::default(),
+            format: PixelFormat::Rgba8,
+            returns: ReturnMode::AtEnd,
+            coding: Coding::Raw,
+        };
         let header = BatchHeader { frame: FrameId(1), tiles: Vec::new() };
-        let coding = tessera_wire::Coding::Raw;
-        bulk.send(Batch { header, pixels: vec![vec![0; 100]], finished: vec![Duration::ZERO], coding })
+        bulk.send(Batch { header, pixels: vec![vec![0; 100]], finished: vec![Duration::ZERO], frame })
             .unwrap();
         write_bulk(Box::new(pipe_out), batches, Instant::now(), tell).await;
         assert!(told.recv().await.is_none());

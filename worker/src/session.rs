@@ -2,7 +2,7 @@
 
 use std::{collections::VecDeque, time::Duration};
 use tessera_wire::{
-    AbortCode, Attempt, BatchHeader, Coding, Frame, FrameId, Hello, PackId, PackRefusal, Rays, Rect, Refusal,
+    AbortCode, Attempt, BatchHeader, Frame, FrameId, Hello, PackId, PackRefusal, Rays, Rect, Refusal,
     ReturnMode, TileCoding, TileEntry, TileGrid, TileId, ToMaster, ToWorker, Version, limits,
 };
 
@@ -127,8 +127,8 @@ pub struct Batch {
     pub pixels: Vec<Vec<u8>>,
     /// When each was finished, by the session's clock.
     pub finished: Vec<Duration>,
-    /// How they are to be coded.
-    pub coding: Coding,
+    /// Of which frame, which says how they are to be coded.
+    pub frame: Frame,
 }
 
 /// How a session ends.
@@ -495,7 +495,7 @@ impl Active {
 impl Batch {
     fn new(frame: &Frame) -> Self {
         let header = BatchHeader { frame: frame.frame, tiles: Vec::new() };
-        Self { header, pixels: Vec::new(), finished: Vec::new(), coding: frame.coding }
+        Self { header, pixels: Vec::new(), finished: Vec::new(), frame: *frame }
     }
 }
 

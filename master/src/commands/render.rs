@@ -15,7 +15,7 @@ use tessera_master::prepare::{Prepared, choose_camera};
 use tessera_master::report::{CameraReport, RenderFacts, RenderReport};
 use tessera_master::{Balance, FrameJob, FrameResult, OutputFile, PixelFormat};
 use tessera_whitted::variant::Variant;
-use tessera_wire::{Adaptive, Features, FrameError, Sampler, Sampling, TileGrid, limits};
+use tessera_wire::{Adaptive, Coding, Features, FrameError, Sampler, Sampling, TileGrid, limits};
 
 /// What to render, and how.
 #[derive(Debug, Args)]
@@ -135,6 +135,13 @@ pub struct FrameArgs {
     pub threads: Option<u32>,
     #[command(flatten)]
     pub backend: BackendArgs,
+    /// How pixels travel from workers
+    ///
+    /// lossless packs them, rounded rounds colours by at most a step of 8 bits first, so that nobody sees it and less travels (the picture is
+    /// then another, and its hash too; layers of EXR files are not rounded). auto is raw or lossless, whichever takes less time as measured.
+    #[arg(long, value_name = "CODING", default_value = "auto", help_heading = "Cluster")]
+    #[arg(value_parser = PossibleValuesParser::new(CODINGS).map(|name| coding(&name)))]
+    coding: CodingFlag,
     /// Let workers of different arithmetic (CPUs, kinds of GPU) render one picture
     ///
     /// Without it one class renders a picture, the one that is the fastest together, and others idle. The report of a mixed picture says
@@ -147,6 +154,18 @@ pub struct FrameArgs {
     /// Print the report as one JSON object on stdout, and nothing else
     #[arg(long)]
     json: bool,
+}
+
+/// What `--coding` takes.
+const CODINGS: [&str; 4] = ["auto", Coding::Raw.name(), Coding::Lossless.name(), Coding::Rounded.name()];
+
+/// Of `--coding`; `None`: by what is measured. (clap takes a bare option for a flag that may be missing.)
+#[derive(Clone, Copy, Debug)]
+struct CodingFlag(Option<Coding>);
+
+/// The coding of that name, if it is one.
+fn coding(name: &str) -> CodingFlag {
+    CodingFlag(Coding::ALL.into_iter().find(|coding| coding.name() == name))
 }
 
 /// The sampler of that name, which is one.
@@ -267,7 +286,7 @@ impl<'a> Plan<'a> {
             format: self.format,
             balance: args.balance,
             mix: args.mix,
-            coding: None,
+            coding: args.coding.0,
         };
         let mut session = Session::open(&prepared.pack, &self.crew, progress)?;
         let frame = match self.against.take() {

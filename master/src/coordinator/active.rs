@@ -360,6 +360,7 @@ impl Active {
             timings,
             rays: self.rays,
             dropped_tiles: self.dispatch.dropped() + self.late,
+            coding: self.job.coding.unwrap_or_default(),
             tiles: self.tiles,
             tile: self.frame.tile,
             count: self.dispatch.total(),

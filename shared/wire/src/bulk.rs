@@ -80,7 +80,7 @@ pub struct TileEntry {
     pub render_us: u32,
     /// Of coding.
     pub coding_us: u32,
-    /// From then until it was handed to the transport.
+    /// From the end of rendering until it was handed to the transport, coding included.
     pub waited_us: u32,
     /// Rays traced for it.
     pub rays: Rays,
@@ -152,8 +152,14 @@ impl BatchHeader {
             let (most, bytes) = (limits::TILE_BYTES, t.length.max(t.pixel_bytes));
             return Err(format!("tile {} of {bytes} bytes: must be in 1..={most}", t.tile.0));
         }
-        match self.tiles.iter().find(|t| t.coding == TileCoding::Raw && t.length != t.pixel_bytes) {
-            Some(t) => Err(format!("raw tile {} of {} bytes has {}", t.tile.0, t.pixel_bytes, t.length)),
+        let is_wrong = |t: &&TileEntry| match t.coding {
+            TileCoding::Raw => t.length != t.pixel_bytes,
+            TileCoding::Packed => t.length >= t.pixel_bytes,
+        };
+        match self.tiles.iter().find(is_wrong) {
+            Some(TileEntry { tile, pixel_bytes, length, coding, .. }) => {
+                Err(format!("{coding:?} tile {} of {pixel_bytes} bytes has {length}", tile.0))
+            }
             None => Ok(()),
         }
     }

@@ -10,6 +10,7 @@
 
 pub mod codec;
 pub mod limits;
+pub mod pixels;
 
 mod balance;
 mod bulk;
