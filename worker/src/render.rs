@@ -8,7 +8,7 @@ use crate::{
         pace::{thread_cpu_time, wait_until},
         replay::{Played, Replay},
     },
-    session::{RenderTask, RenderedTile},
+    session::{RenderTask, RenderedTile, TileName},
 };
 use std::{
     sync::{
@@ -26,8 +26,8 @@ use tessera_wire::Rays;
 /// A running render thread; dropping it ends the thread, and what it is at.
 pub(crate) struct RenderThread {
     tasks: mpsc::Sender<Queued>,
-    /// Set to stop the tiles that are queued.
-    stop: Arc<AtomicBool>,
+    /// What stops each tile that is queued or being rendered, and of some that are finished.
+    stops: Vec<(TileName, Arc<AtomicBool>)>,
     /// Woken then, where it sleeps over a tile.
     thread: thread::Thread,
 }
@@ -40,7 +40,7 @@ pub(crate) enum RenderEvent {
     /// A tile is finished.
     Rendered(Box<RenderedTile>),
     /// A tile was stopped before it was finished.
-    Stopped,
+    Stopped(TileName),
     /// The device has failed, with the reason; nothing more will come.
     Failed(String),
     /// The renderer has panicked: a bug; nothing more will come.
@@ -90,20 +90,23 @@ impl RenderThread {
                     }
                 }
             })?;
-        Ok(Self { tasks, stop: Arc::default(), thread: thread.thread().clone() })
+        Ok(Self { tasks, stops: Vec::new(), thread: thread.thread().clone() })
     }
 
     /// Queues a tile. After a panic or a failure it is not rendered; that has been told.
     pub(crate) fn render(&mut self, task: RenderTask, pack: Pack) {
-        if self.stop.load(Ordering::Relaxed) {
-            self.stop = Arc::default();
-        }
-        let _ = self.tasks.send((task, pack, self.stop.clone()));
+        // The thread lets go of what stops a tile when it is done with the tile.
+        self.stops.retain(|(_, stop)| Arc::strong_count(stop) > 1);
+        let stop = Arc::<AtomicBool>::default();
+        self.stops.push((task.name(), stop.clone()));
+        let _ = self.tasks.send((task, pack, stop));
     }
 
-    /// Stops all tiles that were queued and are not finished; each is told.
-    pub(crate) fn stop(&self) {
-        self.stop.store(true, Ordering::Relaxed);
+    /// Stops those of these tiles that are not finished; each is told.
+    pub(crate) fn stop(&self, tiles: &[TileName]) {
+        for (_, stop) in self.stops.iter().filter(|(tile, _)| tiles.contains(tile)) {
+            stop.store(true, Ordering::Relaxed);
+        }
         self.thread.unpark();
     }
 }
@@ -138,7 +141,7 @@ fn render_on_cpu(
                 idle,
                 ..RenderedTile::new(task, pixels, time, rays)
             })),
-            None => RenderEvent::Stopped,
+            None => RenderEvent::Stopped(task.name()),
         });
     }
 }
@@ -161,7 +164,7 @@ fn replay(
                     ..RenderedTile::new(task, pixels, time, rays)
                 }))
             }
-            Played::Stopped => RenderEvent::Stopped,
+            Played::Stopped => RenderEvent::Stopped(task.name()),
         });
     }
 }
@@ -176,7 +179,8 @@ fn render_on_gpu(
     tell: &impl Fn(RenderEvent),
 ) -> Result<(), GpuError> {
     let mut tiles: Option<Tiles> = None;
-    let mut stop = Arc::<AtomicBool>::default();
+    // What stops those that are with the device.
+    let mut stops = Vec::<(TileName, Arc<AtomicBool>)>::new();
     loop {
         // Wait for a tile if there is none, and take all that are there.
         let is_idle = tiles.as_ref().is_none_or(Tiles::is_idle);
@@ -196,43 +200,41 @@ fn render_on_gpu(
                 Err(mpsc::RecvTimeoutError::Disconnected) => return Ok(()),
             },
         };
-        for (task, pack, its_stop) in first.into_iter().chain(queue.try_iter()) {
-            if !Arc::ptr_eq(&stop, &its_stop) {
-                // Those before were stopped, or there were none.
-                stop_all(tiles.as_mut(), tell);
-                stop = its_stop;
-            }
+        for (task, pack, stop) in first.into_iter().chain(queue.try_iter()) {
             let is_loaded = tiles.as_ref().is_some_and(|tiles| tiles.scene().pack().id() == pack.id());
             if !is_loaded {
                 // (What is under way for another scene is not waited for: frames end before packs change.)
-                stop_all(tiles.as_mut(), tell);
+                for task in tiles.iter_mut().flat_map(Tiles::clear) {
+                    tell(RenderEvent::Stopped(task.name()));
+                }
+                stops.clear();
                 tiles = None;
             }
             let tiles = match &mut tiles {
                 Some(tiles) => tiles,
                 none => none.insert(Tiles::new(engine.scene(&pack)?)?),
             };
+            stops.push((task.name(), stop));
             tiles.push(task);
         }
-        if stop.load(Ordering::Relaxed) {
-            stop_all(tiles.as_mut(), tell);
-        }
         let Some(tiles) = &mut tiles else { continue };
+        stops.retain(|(tile, stop)| {
+            let is_stopped = stop.load(Ordering::Relaxed);
+            if is_stopped && tiles.forget(*tile) {
+                tell(RenderEvent::Stopped(*tile));
+            }
+            !is_stopped
+        });
         for tile in tiles.turn()? {
+            stops.retain(|(other, _)| *other != tile.task.name());
             tell(RenderEvent::Rendered(Box::new(tile)));
         }
     }
 }
 
-fn stop_all(tiles: Option<&mut Tiles>, tell: &impl Fn(RenderEvent)) {
-    for _ in tiles.map(Tiles::clear).unwrap_or_default() {
-        tell(RenderEvent::Stopped);
-    }
-}
-
 impl Drop for RenderThread {
     fn drop(&mut self) {
-        self.stop();
+        self.stops.iter().for_each(|(_, stop)| stop.store(true, Ordering::Relaxed));
     }
 }
 
@@ -284,6 +286,11 @@ mod tests {
         RenderTask { frame, tile: TileId(0), attempt: Attempt(0), rect }
     }
 
+    /// The same in its `n`th attempt, so that it has a name of its own.
+    fn attempt(n: u32, samples: u32) -> RenderTask {
+        RenderTask { attempt: Attempt(n), ..task(samples) }
+    }
+
     #[test]
     fn a_tile_that_nobody_waits_for_is_stopped_and_the_next_one_is_not() {
         let input = PackInput {
@@ -298,17 +305,25 @@ mod tests {
         let config = BackendConfig { choice: BackendChoice::Cpu, ..BackendConfig::default() };
         let backend = Backend::open(&config).expect("there is a CPU");
         let mut thread = RenderThread::start(2, backend, move |event| tell.send(event).unwrap()).unwrap();
-        // Seventeen thousand million samples: hours.
-        thread.render(task(1 << 16), pack.clone());
-        thread.stop();
         let event = || told.recv_timeout(Duration::from_secs(60)).expect("it takes seconds at most");
-        assert!(matches!(event(), RenderEvent::Stopped));
-        thread.render(task(1), pack.clone());
+        // Seventeen thousand million samples: hours. Of three the second is stopped before it has begun.
+        for n in 0..3 {
+            thread.render(attempt(n, 1 << 16), pack.clone());
+        }
+        thread.stop(&[attempt(1, 1).name(), attempt(9, 1).name()]);
+        thread.stop(&[attempt(0, 1).name()]);
+        for n in 0..2 {
+            assert!(matches!(event(), RenderEvent::Stopped(tile) if tile == attempt(n, 1).name()));
+        }
+        thread.stop(&[attempt(2, 1).name()]);
+        assert!(matches!(event(), RenderEvent::Stopped(tile) if tile == attempt(2, 1).name()));
+        thread.render(attempt(3, 1), pack.clone());
         assert!(matches!(event(), RenderEvent::Rendered(tile) if tile.rays.primary == 512 * 512));
-        thread.stop();
-        thread.render(task(1 << 16), pack);
+        thread.stop(&[attempt(3, 1).name()]);
+        thread.render(attempt(4, 1 << 16), pack);
+        assert!(thread.stops.len() <= 2, "of those that are finished none is remembered");
         drop(thread);
-        assert!(matches!(event(), RenderEvent::Stopped), "nobody waits when the thread's owner is gone");
+        assert!(matches!(event(), RenderEvent::Stopped(_)), "nobody waits when the thread's owner is gone");
     }
 
     /// A triangle in front of the camera.
@@ -338,22 +353,26 @@ mod tests {
         let (tell, told) = mpsc::channel();
         let mut thread = RenderThread::start(1, backend, move |event| tell.send(event).unwrap()).unwrap();
         let event = || told.recv_timeout(Duration::from_secs(120)).expect("it takes seconds at most");
-        for _ in 0..3 {
-            thread.render(task(1), triangle());
+        for n in 0..3 {
+            thread.render(attempt(n, 1), triangle());
         }
         for _ in 0..3 {
             assert!(matches!(event(), RenderEvent::Rendered(tile) if tile.rays.primary == 512 * 512));
         }
-        // Hours of work, three times.
-        for _ in 0..3 {
-            thread.render(task(1 << 16), triangle());
+        // Hours of work, twice, and a tile behind each: those come although what is before them is stopped.
+        for (n, samples) in [(3, 1 << 16), (4, 1), (5, 1 << 16), (6, 1)] {
+            thread.render(attempt(n, samples), triangle());
         }
-        thread.stop();
-        for _ in 0..3 {
-            assert!(matches!(event(), RenderEvent::Stopped));
+        thread.stop(&[attempt(3, 1).name(), attempt(5, 1).name()]);
+        let (mut stopped, mut rendered) = (Vec::new(), Vec::new());
+        for _ in 0..4 {
+            match event() {
+                RenderEvent::Stopped(tile) => stopped.push(tile.attempt.0),
+                RenderEvent::Rendered(tile) => rendered.push(tile.task.attempt.0),
+                RenderEvent::Failed(_) | RenderEvent::Panicked => panic!("the GPU is well"),
+            }
         }
-        thread.render(task(1), triangle());
-        assert!(matches!(event(), RenderEvent::Rendered(_)));
+        assert_eq!((stopped, rendered), (vec![3, 5], vec![4, 6]));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::{
     pipes::{PipeError, Reader, Writer, read_message, reason, write_message},
     receive::{Assembly, receive},
     render::{RenderEvent, RenderThread},
-    session::{Action, Batch, Ending, RenderedTile, Session, micros},
+    session::{Action, Batch, Ending, RenderedTile, Session, TileName, micros},
 };
 use std::{io, time::Duration};
 use tessera_pack::Pack;
@@ -226,7 +226,7 @@ struct Driver {
 enum Event {
     Message(ToWorker),
     Rendered(Box<RenderedTile>),
-    RenderingStopped,
+    RenderingStopped(TileName),
     RenderingFailed(String),
     RendererPanicked,
     BatchSent,
@@ -262,7 +262,7 @@ impl Driver {
             // The driver may be gone; the thread then ends with it.
             let _ = tell.blocking_send(match event {
                 RenderEvent::Rendered(tile) => Event::Rendered(tile),
-                RenderEvent::Stopped => Event::RenderingStopped,
+                RenderEvent::Stopped(tile) => Event::RenderingStopped(tile),
                 RenderEvent::Failed(reason) => Event::RenderingFailed(reason),
                 RenderEvent::Panicked => Event::RendererPanicked,
             });
@@ -302,7 +302,7 @@ impl Driver {
                 Some(pack) => self.renderer.render(task, pack.clone()),
                 None => session.abort(AbortCode::Internal, "a tile without a pack".into()),
             },
-            Action::StopRendering => self.renderer.stop(),
+            Action::StopRendering(tiles) => self.renderer.stop(&tiles),
             Action::Over(ending) => return Some(ending),
         }
         None
@@ -320,7 +320,7 @@ impl Driver {
             Event::Rendered(tile) => {
                 session.rendered(RenderedTile { finished: self.begun.elapsed(), ..*tile });
             }
-            Event::RenderingStopped => session.rendering_stopped(),
+            Event::RenderingStopped(tile) => session.rendering_stopped(tile),
             // Others render its tiles; it may come back with another backend.
             Event::RenderingFailed(reason) => session.abort(AbortCode::Internal, reason),
             Event::RendererPanicked => session.abort(AbortCode::Internal, "the renderer has panicked".into()),

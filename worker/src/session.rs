@@ -1,6 +1,9 @@
 //! A worker's side of the protocol. Pure: messages, finished work and `now` in, [`Action`]s out.
 
-use std::{collections::VecDeque, time::Duration};
+use std::{
+    collections::{BTreeSet, VecDeque},
+    time::Duration,
+};
 use tessera_wire::{
     AbortCode, Attempt, BatchHeader, Frame, FrameId, Hello, PackId, PackRefusal, Rays, Rect, Refusal,
     ReturnMode, TileCoding, TileEntry, TileGrid, TileId, ToMaster, ToWorker, Version, limits,
@@ -15,12 +18,15 @@ pub struct Session {
     /// Bytes that a pack may take, as far as known.
     memory: Option<u64>,
     holding: Holding,
-    frame: Option<Active>,
+    /// In the order of beginning.
+    frames: Vec<Active>,
     last_frame: FrameId,
+    /// Frames that have ended last, at most [`Session::ENDED_KEPT`].
+    ended: VecDeque<FrameId>,
     /// Most tiles that are with the renderer at a time.
     ahead: usize,
-    /// Tiles that are with the renderer, of frames that have ended too.
-    rendering: usize,
+    /// Tiles that are with the renderer; those too that nobody waits for any more.
+    rendering: Vec<Held>,
     /// Whether the worker leaves once the tiles in hand are returned.
     draining: bool,
     /// Batches handed out and not yet sent.
@@ -43,12 +49,20 @@ enum Holding {
     Held(PackId),
 }
 
+/// A tile that is with the renderer.
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    tile: TileName,
+    /// Whether it counts when it is finished: it is neither cancelled nor of a frame that has ended.
+    is_wanted: bool,
+}
+
 #[derive(Clone, Debug)]
 struct Active {
     frame: Frame,
     grid: TileGrid,
     queue: VecDeque<(TileId, Attempt)>,
-    /// Tiles of this frame that are with the renderer.
+    /// Tiles of this frame that are with the renderer and wanted.
     in_hand: usize,
     batch: Batch,
     batch_bytes: u64,
@@ -72,13 +86,24 @@ pub enum Action {
     /// Render a tile, then call [`Session::rendered`]. As many come before that as [`Session::start`] was told; they may be finished in
     /// any order.
     Render(RenderTask),
-    /// Nobody waits for any of the tiles that are being rendered: stop them, and for each call [`Session::rendering_stopped`], or
-    /// [`Session::rendered`] if it is finished. A tile whose `Render` comes later is none of them.
-    StopRendering,
+    /// Nobody waits for these tiles, which are being rendered: stop them, and for each call [`Session::rendering_stopped`], or
+    /// [`Session::rendered`] if it is finished. Others go on.
+    StopRendering(Vec<TileName>),
     /// Send a batch, then call [`Session::batch_sent`].
     Return(Batch),
     /// Close the connection once everything before is sent.
     Over(Ending),
+}
+
+/// What a tile is named by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct TileName {
+    /// Its frame.
+    pub frame: FrameId,
+    /// Which of it.
+    pub tile: TileId,
+    /// As assigned.
+    pub attempt: Attempt,
 }
 
 /// A tile to be rendered.
@@ -92,6 +117,13 @@ pub struct RenderTask {
     pub attempt: Attempt,
     /// Its pixels.
     pub rect: Rect,
+}
+
+impl RenderTask {
+    /// What it is named by.
+    pub fn name(&self) -> TileName {
+        TileName { frame: self.frame.frame, tile: self.tile, attempt: self.attempt }
+    }
 }
 
 /// A tile that was rendered.
@@ -150,6 +182,10 @@ pub enum Ending {
 }
 
 impl Session {
+    /// Frames that have ended are remembered so far back: the master may have said `Cancel` of one of them. It has at most
+    /// [`limits::FRAMES`] of them under way, and says no more of a frame that it has ended.
+    const ENDED_KEPT: usize = 2 * limits::FRAMES;
+
     /// A new connection: says `Hello`. Up to `ahead` tiles (at least one) are handed to the renderer before it has finished any: with one it does
     /// nothing while a finished tile is looked after, which matters where looking after takes longer than handing over.
     pub fn start(hello: Hello, memory: Option<u64>, ahead: usize, now: Duration) -> Self {
@@ -158,10 +194,11 @@ impl Session {
             was_welcomed: false,
             memory,
             holding: Holding::Nothing,
-            frame: None,
+            frames: Vec::new(),
             last_frame: FrameId(0),
+            ended: VecDeque::new(),
             ahead: ahead.max(1),
-            rendering: 0,
+            rendering: Vec::new(),
             draining: false,
             in_flight: 0,
             actions: VecDeque::from([Action::Send(ToMaster::Hello(hello))]),
@@ -212,16 +249,8 @@ impl Session {
             (Phase::Joined, ToWorker::Assign { frame, attempt, tiles }) => {
                 self.assign(frame, attempt, &tiles);
             }
-            (Phase::Joined, ToWorker::EndFrame { frame }) => {
-                if self.frame.as_ref().is_some_and(|active| active.frame.frame == frame) {
-                    self.frame = None;
-                    if self.rendering > 0 {
-                        self.actions.push_back(Action::StopRendering);
-                    }
-                } else {
-                    self.abort(AbortCode::Unexpected, format!("frame {} is not the current one", frame.0));
-                }
-            }
+            (Phase::Joined, ToWorker::Cancel { frame, tiles }) => self.cancel(frame, &tiles),
+            (Phase::Joined, ToWorker::EndFrame { frame }) => self.end_frame(frame),
             (phase, message) => {
                 let what = match message {
                     ToWorker::Welcome { .. } => "a second `Welcome`",
@@ -279,23 +308,30 @@ impl Session {
         self.send(answer);
     }
 
-    /// A tile that [`Action::Render`] asked for is rendered.
+    /// A tile that [`Action::Render`] asked for is rendered. It comes to nothing if it was finished before it could be stopped.
     pub fn rendered(&mut self, done: RenderedTile) {
-        self.rendering = self.rendering.saturating_sub(1);
+        let is_wanted = self.take_from_renderer(done.task.name());
         if self.phase != Phase::Joined {
             return;
         }
-        if let Some(active) = self.frame.as_mut().filter(|a| a.frame.frame == done.task.frame.frame) {
+        let frame = done.task.frame.frame;
+        if let Some(active) = self.frames.iter_mut().find(|a| is_wanted && a.frame.frame == frame) {
             let (said, batch) = active.take(done);
-            self.hand_over(said, batch);
+            self.hand_over(frame, said, batch);
         }
         self.render_next();
     }
 
     /// One of the tiles that [`Action::StopRendering`] was about is stopped and will not be finished.
-    pub fn rendering_stopped(&mut self) {
-        self.rendering = self.rendering.saturating_sub(1);
+    pub fn rendering_stopped(&mut self, tile: TileName) {
+        self.take_from_renderer(tile);
         self.render_next();
+    }
+
+    /// The renderer is done with a tile: whether anybody waits for it.
+    fn take_from_renderer(&mut self, tile: TileName) -> bool {
+        let place = self.rendering.iter().position(|held| held.tile == tile);
+        place.is_some_and(|place| self.rendering.remove(place).is_wanted)
     }
 
     /// A batch has been handed to the transport.
@@ -310,19 +346,17 @@ impl Session {
             return self.leave();
         }
         self.draining = true;
-        if let Some(active) = &mut self.frame {
+        for active in &mut self.frames {
             active.queue.clear();
-            if active.in_hand == 0 {
-                self.flush();
-            }
         }
+        self.flush(|active| active.in_hand == 0);
         self.render_next();
     }
 
     /// Ends the session from this side, in peace: what is rendered is returned, others get the rest.
     pub fn leave(&mut self) {
         if self.phase != Phase::Over {
-            self.flush();
+            self.flush(|_| true);
             self.send(ToMaster::Leave);
             self.end(Ending::Left);
         }
@@ -342,7 +376,7 @@ impl Session {
 
     fn end(&mut self, ending: Ending) {
         self.phase = Phase::Over;
-        self.frame = None;
+        self.frames.clear();
         self.actions.push_back(Action::Over(ending));
     }
 
@@ -350,7 +384,7 @@ impl Session {
         if self.draining {
             return;
         }
-        if self.frame.is_some() || matches!(self.holding, Holding::Reserving(_) | Holding::Receiving(_)) {
+        if !self.frames.is_empty() || matches!(self.holding, Holding::Reserving(_) | Holding::Receiving(_)) {
             return self.abort(AbortCode::Unexpected, "a pack is offered in the middle of work".into());
         }
         if self.holding == Holding::Held(pack) {
@@ -375,18 +409,23 @@ impl Session {
             let detail = format!("the pack {} is not held", frame.pack);
             return self.abort(AbortCode::BadFrame, detail);
         }
+        if self.frames.len() >= limits::FRAMES {
+            let detail = format!("frame {} while {} others have not ended", frame.frame.0, limits::FRAMES);
+            return self.abort(AbortCode::Unexpected, detail);
+        }
         match frame.check() {
             Ok(grid) => {
                 self.last_frame = frame.frame;
-                self.frame = Some(Active::new(frame, grid));
+                self.frames.push(Active::new(frame, grid));
             }
             Err(e) => self.abort(AbortCode::BadFrame, e.to_string()),
         }
     }
 
     fn assign(&mut self, frame: FrameId, attempt: Attempt, tiles: &[TileId]) {
-        let Some(active) = self.frame.as_mut().filter(|active| active.frame.frame == frame) else {
-            return self.abort(AbortCode::Unexpected, format!("frame {} is not the current one", frame.0));
+        let Some(active) = self.frames.iter_mut().find(|active| active.frame.frame == frame) else {
+            return self
+                .abort(AbortCode::Unexpected, format!("frame {} has not begun, or has ended", frame.0));
         };
         let total = active.grid.tiles();
         let room = (total as usize).saturating_sub(active.queue.len());
@@ -399,17 +438,85 @@ impl Session {
         }
     }
 
-    /// Returns what was kept for later.
-    fn flush(&mut self) {
-        if let Some(active) = &mut self.frame {
+    /// Takes tiles back. What was said to be rendered stays said, so that each tile is counted by one message: those that are counted here
+    /// are with the renderer, which may still finish them, or were rendered and not said.
+    fn cancel(&mut self, frame: FrameId, tiles: &[TileId]) {
+        let Some(active) = self.frames.iter_mut().find(|active| active.frame.frame == frame) else {
+            if !self.ended.contains(&frame) {
+                self.abort(AbortCode::Unexpected, format!("frame {} has never begun", frame.0));
+            }
+            return;
+        };
+        let total = active.grid.tiles();
+        if tiles.is_empty() || tiles.iter().any(|tile| tile.0 >= total) {
+            return self.abort(AbortCode::BadTiles, "tiles to cancel that are not of the frame".into());
+        }
+        let named: BTreeSet<_> = tiles.iter().copied().collect();
+        let is_named = |tile: TileId| named.contains(&tile);
+        let before = active.queue.len();
+        active.queue.retain(|&(tile, _)| !is_named(tile));
+        let mut cancelled = (before - active.queue.len()) as u32 + active.drop_unsent(is_named);
+        let of_it = self
+            .rendering
+            .iter_mut()
+            .filter(|held| held.is_wanted && held.tile.frame == frame && is_named(held.tile.tile));
+        let stopped: Vec<_> = of_it
+            .map(|held| {
+                held.is_wanted = false;
+                held.tile
+            })
+            .collect();
+        active.in_hand -= stopped.len();
+        cancelled += stopped.len() as u32;
+        let list_is_empty = active.queue.is_empty() && active.in_hand == 0;
+        if !stopped.is_empty() {
+            self.actions.push_back(Action::StopRendering(stopped));
+        }
+        self.send(ToMaster::Cancelled { frame, tiles: cancelled });
+        if list_is_empty {
+            // Nothing is finished any more that would send it off.
+            self.flush(|active| active.frame.frame == frame);
+        }
+        self.render_next();
+    }
+
+    /// Forgets a frame, and stops those of its tiles that are being rendered.
+    fn end_frame(&mut self, frame: FrameId) {
+        let Some(place) = self.frames.iter().position(|active| active.frame.frame == frame) else {
+            return self
+                .abort(AbortCode::Unexpected, format!("frame {} has not begun, or has ended", frame.0));
+        };
+        self.frames.remove(place);
+        self.ended.push_back(frame);
+        if self.ended.len() > Self::ENDED_KEPT {
+            self.ended.pop_front();
+        }
+        let mut stopped = Vec::new();
+        for held in self.rendering.iter_mut().filter(|held| held.tile.frame == frame && held.is_wanted) {
+            held.is_wanted = false;
+            stopped.push(held.tile);
+        }
+        if !stopped.is_empty() {
+            self.actions.push_back(Action::StopRendering(stopped));
+        }
+        // Those of other frames may have waited behind its.
+        self.render_next();
+    }
+
+    /// Returns what was kept for later of the frames that are `due`.
+    fn flush(&mut self, due: impl Fn(&Active) -> bool) {
+        let mut flushed = Vec::new();
+        for active in self.frames.iter_mut().filter(|active| due(active)) {
             let (said, batch) = active.flush();
-            self.hand_over(said, batch);
+            flushed.push((active.frame.frame, said, batch));
+        }
+        for (frame, said, batch) in flushed {
+            self.hand_over(frame, said, batch);
         }
     }
 
     /// Says that so many tiles of the frame are rendered, and returns pixels.
-    fn hand_over(&mut self, said: Option<u32>, batch: Option<Batch>) {
-        let Some(frame) = self.frame.as_ref().map(|active| active.frame.frame) else { return };
+    fn hand_over(&mut self, frame: FrameId, said: Option<u32>, batch: Option<Batch>) {
         // The word goes first: the next tile's number travels while this one's pixels do.
         if let Some(tiles) = said {
             self.send(ToMaster::Rendered { frame, tiles });
@@ -420,20 +527,23 @@ impl Session {
         }
     }
 
-    /// Hands the renderer as many tiles as it may have while the transport keeps up; leaves if it has had the last one. Nothing new is begun with
-    /// [`limits::BATCHES_IN_FLIGHT`] on their way; each of the tiles begun before may become a batch more.
+    /// Hands the renderer as many tiles as it may have while the transport keeps up, those of earlier frames first; leaves if it has had the
+    /// last one. Nothing new is begun with [`limits::BATCHES_IN_FLIGHT`] on their way; each of the tiles begun before may become a batch
+    /// more.
     fn render_next(&mut self) {
-        if self.draining && self.rendering == 0 && self.in_flight == 0 {
+        if self.draining && self.rendering.is_empty() && self.in_flight == 0 {
             return self.leave();
         }
-        let Some(active) = &mut self.frame else { return };
-        while self.rendering < self.ahead && self.in_flight < limits::BATCHES_IN_FLIGHT {
-            let Some((tile, attempt)) = active.queue.pop_front() else { return };
-            // `assign` has checked the tile.
-            let Some(rect) = active.grid.rect(tile) else { return };
-            self.rendering += 1;
-            active.in_hand += 1;
-            self.actions.push_back(Action::Render(RenderTask { frame: active.frame, tile, attempt, rect }));
+        for active in &mut self.frames {
+            while self.rendering.len() < self.ahead && self.in_flight < limits::BATCHES_IN_FLIGHT {
+                let Some((tile, attempt)) = active.queue.pop_front() else { break };
+                // `assign` has checked the tile.
+                let Some(rect) = active.grid.rect(tile) else { break };
+                let task = RenderTask { frame: active.frame, tile, attempt, rect };
+                self.rendering.push(Held { tile: task.name(), is_wanted: true });
+                active.in_hand += 1;
+                self.actions.push_back(Action::Render(task));
+            }
         }
     }
 }
@@ -478,6 +588,32 @@ impl Active {
         };
         let said = say.then(|| std::mem::take(&mut self.unsaid));
         (said, go.then(|| self.take_batch()))
+    }
+
+    /// Drops tiles that are rendered and not handed to the transport; how many of them were not said to be rendered.
+    fn drop_unsent(&mut self, is_named: impl Fn(TileId) -> bool) -> u32 {
+        let mut dropped = 0;
+        let mut place = 0;
+        while let Some(entry) = self.batch.header.tiles.get(place) {
+            if !is_named(entry.tile) {
+                place += 1;
+                continue;
+            }
+            self.batch_bytes -= u64::from(entry.length);
+            self.batch.header.tiles.remove(place);
+            self.batch.pixels.remove(place);
+            self.batch.finished.remove(place);
+            dropped += 1;
+        }
+        match self.frame.returns {
+            // All of the batch's are unsaid, but for those of batches that were full.
+            ReturnMode::AtEnd | ReturnMode::Every { .. } => {
+                self.unsaid -= dropped;
+                dropped
+            }
+            // Each was said when it was finished.
+            ReturnMode::Batches { .. } => 0,
+        }
     }
 
     /// What was kept for later: tiles to be said rendered, and pixels.

@@ -160,13 +160,13 @@ fn the_end_of_a_frame_drops_what_is_left_of_it() {
     s.message(ToWorker::EndFrame { frame: FrameId(1) });
     s.message(ToWorker::Frame(frame(2, ReturnMode::AtEnd)));
     assign(&mut s, 2, [3]);
-    assert_eq!(actions(&mut s), [Action::StopRendering], "the renderer is still busy");
+    assert_eq!(actions(&mut s), [Action::StopRendering(vec![task.name()])], "the renderer is still busy");
     // It may have been finished before it was stopped.
     let mut finished = s.clone();
     let (time, rays) = (Duration::ZERO, Rays::default());
     finished.rendered(RenderedTile::new(task, vec![0; 16], time, rays));
     assert_eq!(run(&mut finished), "r1");
-    s.rendering_stopped();
+    s.rendering_stopped(task.name());
     assert_eq!(run(&mut s), "r1");
     s.message(ToWorker::EndFrame { frame: FrameId(2) });
     assert_eq!(actions(&mut s), [], "nothing is being rendered");
@@ -301,12 +301,12 @@ fn the_end_of_a_frame_stops_all_that_is_rendered_ahead() {
     assign(&mut s, 1, 0..4);
     let old = tasks(&mut s);
     s.message(ToWorker::EndFrame { frame: FrameId(1) });
-    assert_eq!(actions(&mut s), [Action::StopRendering]);
+    assert_eq!(actions(&mut s), [Action::StopRendering(old.iter().map(RenderTask::name).collect())]);
     s.message(ToWorker::Frame(frame(2, ReturnMode::AtEnd)));
     assign(&mut s, 2, 0..4);
     assert_eq!(actions(&mut s), [], "the renderer has as many as it may");
     // One is stopped, one was finished before it was, and each makes room for one of the new frame.
-    s.rendering_stopped();
+    s.rendering_stopped(old[0].name());
     let first = tasks(&mut s);
     finish(&mut s, old[2]);
     let second = tasks(&mut s);
@@ -320,7 +320,7 @@ fn the_end_of_a_frame_stops_all_that_is_rendered_ahead() {
     finish(&mut s, fourth[0]);
     let mut all = actions(&mut s);
     assert!(matches!(all.pop(), Some(Action::Return(batch)) if tiles_of(&batch) == [0, 1, 2, 3]));
-    s.rendering_stopped();
+    s.rendering_stopped(old[1].name());
     s.batch_sent();
     assert_eq!(actions(&mut s), []);
     s.message(ToWorker::EndFrame { frame: FrameId(2) });
@@ -468,3 +468,5 @@ fn endings() {
     };
     assert!(batch.header.tiles[0].tile == first.tile && *rest == leaves);
 }
+
+mod frames;

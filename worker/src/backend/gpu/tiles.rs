@@ -13,7 +13,7 @@ use super::slot::{COUNT_BYTES, CUT_LOOPS, FRONT_BYTES, JOBS, Slot, make_buffer};
 use super::wavefront::{self, HEAD_BYTES, ROUNDS, ROUNDS_MAX, ROUNDS_MIN, Waves};
 use super::{GpuError, GpuScene, TraversalForm};
 use crate::backend::cpu;
-use crate::session::{RenderTask, RenderedTile};
+use crate::session::{RenderTask, RenderedTile, TileName};
 use bytemuck::{bytes_of, cast_slice};
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -77,6 +77,8 @@ struct Waiting {
     time: Duration,
     /// Pieces under way.
     pieces: u32,
+    /// Whether it is returned when it is finished. One that is not has no regions, and keeps its place until its pieces are in.
+    is_wanted: bool,
 }
 
 /// Pixels that get the same samples.
@@ -188,6 +190,7 @@ impl Tiles {
             rays: Rays::default(),
             time: Duration::ZERO,
             pieces: 0,
+            is_wanted: true,
         };
         if waiting.adaptive.is_some() {
             waiting.begin_round();
@@ -198,7 +201,25 @@ impl Tiles {
     /// Forgets every tile; those that are being computed come to nothing.
     pub(crate) fn clear(&mut self) -> Vec<RenderTask> {
         self.first += self.waiting.len() as u64;
-        self.waiting.drain(..).map(|waiting| waiting.task).collect()
+        self.waiting.drain(..).filter(|waiting| waiting.is_wanted).map(|waiting| waiting.task).collect()
+    }
+
+    /// Forgets one tile, if it is there. Nothing more of it is submitted; what has been submitted ([`UNDER_WAY`] submissions at most) the
+    /// device computes to its end, where paths are taken step by step until the next look at it, and it comes to nothing.
+    pub(crate) fn forget(&mut self, name: TileName) -> bool {
+        let Some(tile) = self.waiting.iter_mut().find(|tile| tile.is_wanted && tile.task.name() == name)
+        else {
+            return false;
+        };
+        tile.is_wanted = false;
+        (tile.regions, tile.adaptive, tile.pixels) = (Vec::new(), None, Vec::new());
+        true
+    }
+
+    /// Whether a tile of this number is there and not forgotten.
+    fn is_wanted(&self, number: u64) -> bool {
+        let place = number.checked_sub(self.first).and_then(|place| usize::try_from(place).ok());
+        place.and_then(|place| self.waiting.get(place)).is_some_and(|tile| tile.is_wanted)
     }
 
     /// Keeps the device busy, and returns tiles that are finished; waits for the oldest submission if nothing else is to be done.
@@ -211,9 +232,13 @@ impl Tiles {
         while !self.free.is_empty() && self.submit()? {}
         let mut finished = Vec::new();
         while self.waiting.front().is_some_and(|tile| tile.is_submitted() && tile.pieces == 0) {
-            let Some(Waiting { task, pixels, rays, time, .. }) = self.waiting.pop_front() else { break };
+            let Some(Waiting { task, pixels, rays, time, is_wanted, .. }) = self.waiting.pop_front() else {
+                break;
+            };
             self.first += 1;
-            finished.push(RenderedTile::new(task, pixels, time, rays));
+            if is_wanted {
+                finished.push(RenderedTile::new(task, pixels, time, rays));
+            }
         }
         Ok(finished)
     }
@@ -372,7 +397,7 @@ impl Tiles {
         let now = Instant::now();
         let took = now - done.begun.max(self.last_done);
         self.last_done = now;
-        if !done.is_finished()? && done.parts.iter().any(|part| part.tile >= self.first) {
+        if !done.is_finished()? && done.parts.iter().any(|part| self.is_wanted(part.tile)) {
             done.slot.readback.unmap();
             return self.go_on(done, took);
         }
@@ -400,6 +425,9 @@ impl Tiles {
                 let Some(index) = part.tile.checked_sub(self.first) else { continue };
                 let Some(tile) = self.waiting.get_mut(index as usize) else { continue };
                 tile.pieces -= 1;
+                if !tile.is_wanted {
+                    continue;
+                }
                 tile.rays.primary += u64::from(counts[0]);
                 tile.rays.shadow += u64::from(counts[1]);
                 tile.rays.reflection += u64::from(counts[2]);

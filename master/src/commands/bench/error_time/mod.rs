@@ -188,8 +188,7 @@ fn write_files(
     turned: &[Turned],
 ) -> Result<(), CommandError> {
     let summaries = &report.knobs;
-    let seconds =
-        summaries.iter().flat_map(|summary| &summary.rows).map(|row| row.seconds(args.clock).min);
+    let seconds = summaries.iter().flat_map(|summary| &summary.rows).map(|row| row.seconds(args.clock).min);
     let facts = Facts {
         args,
         scene: report.scene,

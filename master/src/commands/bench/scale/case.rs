@@ -1,7 +1,7 @@
 //! What is measured, and what comes of it.
 
 use super::link::LinkProfile;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::time::Duration;
 use tessera_master::{Balance, TileRecord};
 
@@ -32,14 +32,14 @@ pub struct Measured {
 }
 
 /// A line of the CSV file.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Row {
     pub scene: String,
     pub link: String,
-    pub balance: &'static str,
+    pub balance: String,
     pub workers: usize,
     /// `replay`, `real` or `simulated`.
-    pub device: &'static str,
+    pub device: String,
     pub run: u32,
     pub frame: u32,
     pub frame_ms: f64,
@@ -54,6 +54,45 @@ pub struct Row {
     pub dropped: u64,
     /// What the simulator says that the frame takes, where it was asked.
     pub predicted_ms: Option<f64>,
+}
+
+impl Row {
+    pub const COLUMNS: [&str; 14] = [
+        "scene",
+        "link",
+        "balance",
+        "workers",
+        "device",
+        "run",
+        "frame",
+        "frame_ms",
+        "ideal_ms",
+        "bytes",
+        "tile",
+        "busy_share",
+        "dropped",
+        "predicted_ms",
+    ];
+
+    /// As [`Row::COLUMNS`] says.
+    pub fn cells(&self) -> [String; 14] {
+        [
+            self.scene.clone(),
+            self.link.clone(),
+            self.balance.clone(),
+            self.workers.to_string(),
+            self.device.clone(),
+            self.run.to_string(),
+            self.frame.to_string(),
+            format!("{:.3}", self.frame_ms),
+            format!("{:.3}", self.ideal_ms),
+            self.bytes.to_string(),
+            self.tile.to_string(),
+            format!("{:.4}", self.busy_share),
+            self.dropped.to_string(),
+            self.predicted_ms.map_or(String::new(), |ms| format!("{ms:.3}")),
+        ]
+    }
 }
 
 impl Case {

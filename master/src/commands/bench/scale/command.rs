@@ -3,11 +3,15 @@
 use super::case::{Case, Measured, Row, median, ms};
 use super::devices;
 use super::link::LinkProfile;
+use super::page;
 use super::real::{Device, RealCluster};
 use super::recorded::Recorded;
+use super::report::{self, Report};
 use super::sim::Costs;
 use super::simulated::Simulated;
 use crate::commands::args::Size;
+use crate::commands::bench::folder::{Folder, command_line};
+use crate::commands::page::{Theme, machine, write_csv};
 use crate::commands::progress::Progress;
 use crate::commands::run::{cores, prepare_scene};
 use crate::commands::{CommandError, PackingArgs, print_json, print_text};
@@ -18,7 +22,7 @@ use std::time::Duration;
 use tessera_geometry::LocalCamera;
 use tessera_master::prepare::{Prepared, choose_camera};
 use tessera_master::{Balance, FrameJob, PixelFormat};
-use tessera_wire::{Features, Sampling, limits};
+use tessera_wire::{Coding, Features, Sampling, limits};
 
 /// Clusters to be measured.
 #[derive(Debug, Args)]
@@ -75,6 +79,9 @@ pub struct ScaleArgs {
     /// Side of a tile in pixels, a multiple of 16 [default: 128, and for auto what it chooses]
     #[arg(long, value_name = "N", value_parser = tile)]
     tile: Option<u32>,
+    /// How pixels travel [default: raw with the paper's ways, as there; else as suits link and pixels]
+    #[arg(long, value_name = "CODING", value_parser = coding)]
+    coding: Option<CodingArg>,
     /// A camera of the scene [default: its first]
     #[arg(long, value_name = "NAME")]
     camera: Option<String>,
@@ -106,6 +113,17 @@ impl DeviceKind {
             Self::Simulated => "simulated",
         }
     }
+}
+
+/// Of `--coding`: none leaves it to the cluster.
+#[derive(Clone, Copy, Debug)]
+pub struct CodingArg(Option<Coding>);
+
+fn coding(text: &str) -> Result<CodingArg, String> {
+    let found = Coding::ALL.into_iter().find(|coding| coding.name() == text).map(Some);
+    // A rounded frame has other pixels than the recording, which its hash is held to.
+    let found = found.filter(|coding| *coding != Some(Coding::Rounded)).or((text == "auto").then_some(None));
+    found.map(CodingArg).ok_or_else(|| "write auto, raw or lossless".into())
 }
 
 fn balances() -> Vec<&'static str> {
@@ -173,14 +191,14 @@ fn warm_up(balance: Balance, workers: usize) -> usize {
 }
 
 /// The view of the frame that is measured.
-fn job(args: &ScaleArgs, prepared: &Prepared) -> Result<FrameJob, CommandError> {
-    let camera = choose_camera(&prepared.cameras, args.camera.as_deref()).map_err(CommandError::Usage)?;
+fn job(args: &ScaleArgs, prepared: &Prepared) -> Result<(String, FrameJob), CommandError> {
+    let chosen = choose_camera(&prepared.cameras, args.camera.as_deref()).map_err(CommandError::Usage)?;
     let Size { width, height } = args.size;
-    let camera: LocalCamera = camera
+    let camera: LocalCamera = chosen
         .pose
         .to_local(&prepared.pack.frame(), width, height)
         .map_err(|e| CommandError::Usage(format!("the camera cannot be used: {e}")))?;
-    Ok(FrameJob {
+    let job = FrameJob {
         camera,
         width,
         height,
@@ -194,13 +212,15 @@ fn job(args: &ScaleArgs, prepared: &Prepared) -> Result<FrameJob, CommandError> 
         balance: Balance::default(),
         mix: false,
         coding: None,
-    })
+    };
+    Ok((chosen.name.clone(), job))
 }
 
 pub fn run(args: &ScaleArgs, progress: &Progress) -> Result<(), CommandError> {
     let grid = Grid::of(args)?;
+    let out = args.out.as_deref().map(Folder::check).transpose()?;
     let prepared = prepare_scene(&args.scene, &PackingArgs::default(), progress)?;
-    let job = job(args, &prepared)?;
+    let (camera, job) = job(args, &prepared)?;
     let recorded = {
         let _bar = progress.step("recording the frame");
         Recorded::render(&prepared.pack, &job, progress)?
@@ -213,13 +233,47 @@ pub fn run(args: &ScaleArgs, progress: &Progress) -> Result<(), CommandError> {
     let file = folder.path().join("recording");
     recorded.write(&file)?;
     let scene = super::super::name_of(&args.scene);
-    let bench =
-        Bench { args, grid, prepared: &prepared, job, recorded: &recorded, scale, file: &file, scene };
+    let bench = Bench {
+        args,
+        grid,
+        prepared: &prepared,
+        job,
+        recorded: &recorded,
+        scale,
+        file: &file,
+        scene,
+        camera,
+    };
     let rows = bench.measure(progress)?;
-    if args.json {
-        return print_json(&rows);
+    let report = bench.report(rows);
+    if let Some(out) = &out {
+        write_files(out, &report)?;
     }
-    print_text(&text(&rows))
+    if args.json {
+        return print_json(&report);
+    }
+    print_text(&report::text(&report.summaries))?;
+    match &out {
+        Some(out) => print_text(&format!("\nwrote      {}\n", out.path("index.html").display())),
+        None => Ok(()),
+    }
+}
+
+/// Writes the page, the plots and the figures.
+fn write_files(folder: &Folder, report: &Report) -> Result<(), CommandError> {
+    folder.write("index.html", page::page(report).html().as_bytes())?;
+    for link in &report.links {
+        let (times, shares) =
+            (page::time_plot(report, &link.name), page::efficiency_plot(report, &link.name));
+        for (plot, what) in [(times, "time"), (shares, "efficiency")] {
+            folder.write(&format!("{}-{what}.svg", link.name), plot.svg().as_bytes())?;
+            folder.write(&format!("{}-{what}.png", link.name), &plot.png(Theme::Light))?;
+        }
+    }
+    let mut table = Vec::new();
+    write_csv(&mut table, Row::COLUMNS, report.rows.iter().map(Row::cells)).map_err(CommandError::failed)?;
+    folder.write("scale.csv", &table)?;
+    folder.write("scale.json", &serde_json::to_vec_pretty(report).map_err(CommandError::failed)?)
 }
 
 /// Everything that a case needs.
@@ -232,6 +286,7 @@ struct Bench<'a> {
     scale: f64,
     file: &'a Path,
     scene: String,
+    camera: String,
 }
 
 impl Bench<'_> {
@@ -274,7 +329,7 @@ impl Bench<'_> {
             for &balance in &self.grid.balances {
                 let case = Case { link: link.clone(), balance, speeds: speeds.to_vec() };
                 let tile = self.args.tile.unwrap_or(if balance == Balance::Auto { 0 } else { 128 });
-                let job = FrameJob { tile, ..self.job.clone() };
+                let job = FrameJob { tile, coding: self.coding(balance), ..self.job.clone() };
                 let warm = warm_up(balance, speeds.len());
                 let all = warm + frames as usize;
                 let predicted = self.simulator().run(&case, &job, all, &[])?;
@@ -301,6 +356,39 @@ impl Bench<'_> {
         Ok(())
     }
 
+    fn report(self, rows: Vec<Row>) -> Report {
+        let speeds = |workers: usize| {
+            let of = self.grid.clusters.iter().find(|speeds| speeds.len() == workers);
+            of.map_or(workers as f64, |speeds| speeds.iter().sum())
+        };
+        let summaries = report::summaries(&rows, speeds);
+        let Size { width, height } = self.args.size;
+        Report {
+            tessera_scale: 1,
+            scene: self.scene,
+            camera: self.camera,
+            size: [width, height],
+            device: self.args.device.name().into(),
+            one_worker_s: self.scale * self.recorded.total().as_secs_f64(),
+            launch_us: self.args.launch_us,
+            recording: self.recorded.costs(),
+            links: self.grid.links,
+            rows,
+            summaries,
+            command: command_line(),
+            machine: machine(),
+        }
+    }
+
+    /// How pixels travel: as is asked for; the paper's ways send them raw, as the paper did.
+    fn coding(&self, balance: Balance) -> Option<Coding> {
+        match self.args.coding {
+            Some(coding) => coding.0,
+            None if matches!(balance, Balance::PaperStatic | Balance::PaperDynamic) => Some(Coding::Raw),
+            None => None,
+        }
+    }
+
     fn simulator(&self) -> Simulated<'_> {
         let launch = Duration::from_micros(self.args.launch_us.into());
         Simulated { recorded: self.recorded, scale: self.scale, launch, costs: Costs::default() }
@@ -312,9 +400,9 @@ impl Bench<'_> {
         Row {
             scene: self.scene.clone(),
             link: case.link.name.clone(),
-            balance: case.balance.name(),
+            balance: case.balance.name().into(),
             workers: case.speeds.len(),
-            device: self.args.device.name(),
+            device: self.args.device.name().into(),
             run,
             frame,
             frame_ms: ms(measured.took),
@@ -326,44 +414,4 @@ impl Bench<'_> {
             predicted_ms,
         }
     }
-}
-
-/// Tables for people.
-fn text(rows: &[Row]) -> String {
-    let mut out = String::new();
-    let mut links: Vec<&str> = rows.iter().map(|row| row.link.as_str()).collect();
-    links.dedup();
-    let mut workers: Vec<usize> = rows.iter().map(|row| row.workers).collect();
-    workers.sort_unstable();
-    workers.dedup();
-    let mut balances: Vec<&str> = Vec::new();
-    rows.iter().for_each(|row| {
-        if !balances.contains(&row.balance) {
-            balances.push(row.balance)
-        }
-    });
-    for link in links {
-        out += &format!("{link}: ms a frame (times ideal, bytes)\n{:>14}", "");
-        workers.iter().for_each(|n| out += &format!("{n:>26}"));
-        out += "\n";
-        for balance in &balances {
-            out += &format!("{balance:>14}");
-            for &n in &workers {
-                let of = |value: fn(&Row) -> f64| {
-                    let it =
-                        rows.iter().filter(|r| r.link == link && r.workers == n && r.balance == *balance);
-                    median(&it.map(value).collect::<Vec<_>>()).unwrap_or(f64::NAN)
-                };
-                out += &format!(
-                    "{:>9.1} {:>5.3} {:>4.0}K {:>5.3}",
-                    of(|r| r.frame_ms),
-                    of(|r| r.frame_ms / r.ideal_ms),
-                    of(|r| r.bytes as f64 / 1024.0),
-                    of(|r| r.predicted_ms.map_or(f64::NAN, |p| p / r.frame_ms)),
-                );
-            }
-            out += "\n";
-        }
-    }
-    out
 }

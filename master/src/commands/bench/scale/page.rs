@@ -21,7 +21,11 @@ pub fn page(report: &Report) -> Page {
         report.camera,
         report.device,
         report.one_worker_s,
-        if report.launch_us > 0 { format!(", and {} us a tile besides", report.launch_us) } else { String::new() }
+        if report.launch_us > 0 {
+            format!(", and {} us a tile besides", report.launch_us)
+        } else {
+            String::new()
+        }
     )];
     summary.push(
         "Ideal: what all tiles cost over the sum of the workers' speeds, and one worker's share of the bytes on the link with its latency. \
@@ -114,7 +118,17 @@ pub fn efficiency_plot(report: &Report, link: &str) -> Plot {
 
 fn times(report: &Report, link: &str) -> PageSection {
     let columns = [
-        "balancing", "workers", "frames", "median ms", "mean ms", "min ms", "max ms", "ideal ms", "over ideal", "to paper-static", "simulated / measured",
+        "balancing",
+        "workers",
+        "frames",
+        "median ms",
+        "mean ms",
+        "min ms",
+        "max ms",
+        "ideal ms",
+        "over ideal",
+        "to paper-static",
+        "simulated / measured",
     ];
     let rows = of_link(report, link).map(|s| {
         let or_dash = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.3}"));

@@ -1,5 +1,6 @@
 //! A frame that was rendered once, of which devices are played: what each place of it cost, and its pixels.
 
+use super::report::RecordingCosts;
 use crate::commands::CommandError;
 use crate::commands::progress::Progress;
 use crate::commands::run::{Crew, LocalCrew, Session};
@@ -7,7 +8,7 @@ use std::path::Path;
 use std::time::Duration;
 use tessera_master::FrameJob;
 use tessera_pack::Pack;
-use tessera_wire::{Rect, TileGrid, TileId};
+use tessera_wire::{Coding, PixelFormat, Rect, TileGrid, TileId, pixels};
 use tessera_worker::Recording;
 
 /// A recorded frame. Tiles of any multiple of its side are as long as the recorded ones in them.
@@ -73,6 +74,27 @@ impl Recorded {
             &self.pixels[first..first + 4 * rect.width as usize]
         };
         (rect.y..rect.y + rect.height).flat_map(row).copied().collect()
+    }
+
+    /// What a report keeps of it.
+    pub fn costs(&self) -> RecordingCosts {
+        let packed = [16, 32, 64, 128, 256].map(|side| (side, self.packed(side)));
+        RecordingCosts { side: self.grid.tile(), micros: self.micros.clone(), packed: packed.into() }
+    }
+
+    /// Bytes of the frame on the wire in tiles of `side` over bytes of its pixels.
+    fn packed(&self, side: u32) -> f64 {
+        let (width, height) = self.grid.size();
+        let Ok(grid) = TileGrid::new(width, height, side) else { return 1.0 };
+        let rects = (0..grid.tiles()).filter_map(|tile| grid.rect(TileId(tile)));
+        rects.map(|rect| self.wire_bytes(rect) as f64).sum::<f64>() / self.pixels.len() as f64
+    }
+
+    /// Bytes of `rect` on the wire where pixels are packed.
+    pub fn wire_bytes(&self, rect: Rect) -> usize {
+        let pixels = self.pixels(rect);
+        let packed = pixels::encode(PixelFormat::Rgba8, rect.width, &pixels, Coding::Lossless);
+        packed.map_or(pixels.len(), |packed| packed.len())
     }
 
     /// The most that a tile of `side` costs over the mean, and the same of the paper's columns, `workers` of them.

@@ -93,8 +93,7 @@ pub fn summaries(rows: &[Row], speeds: impl Fn(usize) -> f64) -> Vec<Summary> {
 }
 
 fn summary(rows: &[Row], like: &Row) -> Summary {
-    let is_like =
-        |r: &&Row| (&r.link, &r.balance, r.workers) == (&like.link, &like.balance, like.workers);
+    let is_like = |r: &&Row| (&r.link, &r.balance, r.workers) == (&like.link, &like.balance, like.workers);
     let of = |value: fn(&Row) -> f64| rows.iter().filter(is_like).map(value).collect::<Vec<_>>();
     let times = of(|row| row.frame_ms);
     let mid = |values: Vec<f64>| median(&values).unwrap_or(f64::NAN);
@@ -134,7 +133,10 @@ pub fn text(summaries: &[Summary]) -> String {
     let mut workers = distinct(summaries.iter().map(|s| s.workers));
     workers.sort_unstable();
     for link in links {
-        out += &format!("\n{link}: ms of a frame (median), over the ideal, to paper-static, simulated over measured\n{:>14}", "workers");
+        out += &format!(
+            "\n{link}: ms of a frame (median), over the ideal, to paper-static, simulated over measured\n{:>14}",
+            "workers"
+        );
         workers.iter().for_each(|n| out += &format!("{n:>28}"));
         out.push('\n');
         for balance in &balances {
@@ -142,7 +144,8 @@ pub fn text(summaries: &[Summary]) -> String {
             for &n in &workers {
                 let is_it = |s: &&Summary| s.link == link && s.workers == n && s.balance == *balance;
                 out += &summaries.iter().find(is_it).map_or(format!("{:>28}", ""), |s| {
-                    let or_dash = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+                    let or_dash =
+                        |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
                     let (paper, sim) = (or_dash(s.to_paper_static), or_dash(s.predicted));
                     format!("{:>12.1}{:>6.2}{paper:>5}{sim:>5}", s.median_ms, s.over_ideal)
                 });

@@ -8,7 +8,7 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tessera_master::FrameJob;
-use tessera_wire::Rect;
+use tessera_wire::{Coding, Rect};
 
 /// Devices that are nowhere.
 pub struct Simulated<'a> {
@@ -34,9 +34,12 @@ impl Simulated<'_> {
         let coded = RefCell::new(BTreeMap::<(u32, u32, u32), u32>::new());
         let bytes_of = |rect: Rect| {
             let key = (rect.x, rect.y, rect.width);
-            *coded.borrow_mut().entry(key).or_insert_with(|| self.coded(rect))
+            *coded.borrow_mut().entry(key).or_insert_with(|| self.recorded.wire_bytes(rect) as u32)
         };
-        let job = FrameJob { balance: case.balance, ..job.clone() };
+        // As a cluster of processes begins, before it has measured anything.
+        let coding = Some(job.coding.unwrap_or(Coding::Lossless))
+            .filter(|_| !case.link.is_straight() || job.coding.is_some());
+        let job = FrameJob { balance: case.balance, coding, ..job.clone() };
         let plot = Plot {
             link: &case.link,
             speeds: &case.speeds,
@@ -60,10 +63,5 @@ impl Simulated<'_> {
             why: frame.why,
         });
         Ok(measured.collect())
-    }
-
-    /// Bytes of `rect` on the wire.
-    fn coded(&self, rect: Rect) -> u32 {
-        4 * rect.width * rect.height
     }
 }

@@ -11,7 +11,7 @@ use tessera_wire::{
     Abilities, AbortCode, BatchHeader, FrameId, Hello, PackId, Rays, Rect, Role, TileCoding, TileEntry,
     ToMaster, ToWorker, Token, Version, codec,
 };
-use tessera_worker::session::{Action, Batch, RenderTask, RenderedTile, Session};
+use tessera_worker::session::{Action, Batch, RenderTask, RenderedTile, Session, TileName};
 
 const PACK: PackId = PackId([5; 32]);
 
@@ -67,11 +67,10 @@ enum Happening {
     Master(usize, Box<Upward>),
     Worker(usize, Box<ToWorker>),
     Rendered(usize, u64, Box<RenderedTile>),
-    Stopped(usize),
+    Stopped(usize, TileName),
     BatchSent(usize),
     Fault(Fault),
     Missed(usize),
-    Joins(usize),
 }
 
 impl<'a> World<'a> {
@@ -235,9 +234,9 @@ impl<'a> World<'a> {
                 let finished = self.now;
                 self.session(worker, |s| s.rendered(RenderedTile { finished, ..*tile }));
             }
-            Happening::Stopped(worker) => {
+            Happening::Stopped(worker, tile) => {
                 self.crew[worker].idle_since = self.now;
-                self.session(worker, Session::rendering_stopped);
+                self.session(worker, |s| s.rendering_stopped(tile));
             }
             Happening::BatchSent(worker) => self.session(worker, Session::batch_sent),
             Happening::Fault(Fault::Slows { worker, times, .. }) => self.crew[worker].speed /= times,
@@ -245,7 +244,7 @@ impl<'a> World<'a> {
                 self.crew[worker].is_there = false;
                 self.schedule(self.now + noticed, Happening::Missed(worker));
             }
-            Happening::Fault(Fault::Joins { worker, .. }) | Happening::Joins(worker) => {
+            Happening::Fault(Fault::Joins { worker, .. }) => {
                 self.crew[worker].is_there = true;
                 self.join(worker);
                 self.talk();
@@ -347,9 +346,14 @@ impl<'a> World<'a> {
                 Action::Send(message) => self.up(worker, Stream::Control, Upward::Message(message), 0),
                 Action::Receive { pack, .. } => self.crew[worker].session.pack_reserved(pack, Ok(())),
                 Action::Render(task) => self.begin(worker, task),
-                Action::StopRendering => {
-                    for _ in std::mem::take(&mut self.crew[worker].in_hand) {
-                        self.schedule(self.now + self.plot.costs.wake, Happening::Stopped(worker));
+                Action::StopRendering(tiles) => {
+                    for tile in tiles {
+                        let hand = &mut self.crew[worker].in_hand;
+                        let Some(place) = hand.iter().position(|(_, task)| task.name() == tile) else {
+                            continue;
+                        };
+                        hand.remove(place);
+                        self.schedule(self.now + self.plot.costs.wake, Happening::Stopped(worker, tile));
                     }
                 }
                 Action::Return(batch) => self.give_back(worker, batch),
@@ -462,7 +466,7 @@ impl<'a> World<'a> {
                         Action::Receive { pack, .. } => self.crew[worker].session.pack_reserved(pack, Ok(())),
                         Action::Render(task) => self.begin(worker, task),
                         Action::Return(batch) => self.give_back(worker, batch),
-                        Action::StopRendering | Action::Over(_) => {}
+                        Action::StopRendering(_) | Action::Over(_) => {}
                     }
                 }
             }

@@ -10,7 +10,7 @@ use tessera_wire::{
     Abilities, Features, FrameId, Hello, PackId, Rays, Rect, Role, TileEntry, TileId, ToMaster, ToWorker,
     Token, Version, WorkerId,
 };
-use tessera_worker::session::{Action, Batch, RenderTask, RenderedTile, Session};
+use tessera_worker::session::{Action, Batch, RenderTask, RenderedTile, Session, TileName};
 
 /// A frame of small tiles and who renders it.
 pub struct Trial<'a> {
@@ -141,7 +141,7 @@ enum Happening {
     ToMaster(usize, ToMaster),
     PackArrives(usize, PackId),
     Rendered(usize, u64, Box<RenderedTile>),
-    Stopped(usize),
+    Stopped(usize, TileName),
     BatchSent(usize),
     Tile(usize, FrameId, TileEntry, Vec<u8>),
 }
@@ -237,7 +237,7 @@ impl<'a> World<'a> {
                     self.session(worker, |s| s.rendered(*tile));
                 }
             }
-            Happening::Stopped(worker) => self.session(worker, Session::rendering_stopped),
+            Happening::Stopped(worker, tile) => self.session(worker, |s| s.rendering_stopped(tile)),
             Happening::BatchSent(worker) => self.session(worker, Session::batch_sent),
         }
     }
@@ -329,9 +329,12 @@ impl<'a> World<'a> {
                 let rendered = Happening::Rendered(worker, state.begun, Box::new(rendered(task, time)));
                 self.schedule(self.now + time, rendered);
             }
-            Action::StopRendering => {
-                if self.crew[worker].in_hand.take().is_some() {
-                    self.schedule(self.now + Duration::from_micros(100), Happening::Stopped(worker));
+            Action::StopRendering(tiles) => {
+                // One at a time is in hand.
+                if let Some(&tile) = tiles.first()
+                    && self.crew[worker].in_hand.take().is_some()
+                {
+                    self.schedule(self.now + Duration::from_micros(100), Happening::Stopped(worker, tile));
                 }
             }
             Action::Return(Batch { header, pixels, .. }) => {
