@@ -41,6 +41,10 @@ pub enum BenchCommand {
     ErrorTime(error_time::ErrorTimeArgs),
     /// How frame time falls with workers, by balancing and link
     Scale(scale::command::ScaleArgs),
+    /// How frame time depends on the side of a tile
+    Tiles(scale::tiles::TilesArgs),
+    /// What a measured scene would take another cluster
+    WhatIf(scale::what_if::WhatIfArgs),
     /// Seconds of a frame on a GPU and on the CPU, by what the GPU's kernels are made of
     Gpu(gpu::GpuArgs),
     /// What the transport of frames gets out of emulated links, beside what they have to give
@@ -59,7 +63,9 @@ pub fn run(command: BenchCommand, progress: &Progress) -> Result<(), CommandErro
         BenchCommand::Build(args) => !args.json,
         BenchCommand::Pack(args) => !args.json,
         BenchCommand::ErrorTime(args) => !args.json,
-        BenchCommand::Scale(args) => !args.json,
+        BenchCommand::Scale(args) => !args.cluster.json,
+        BenchCommand::Tiles(args) => !args.cluster.json,
+        BenchCommand::WhatIf(args) => !args.json,
         BenchCommand::Gpu(args) => !args.json,
         BenchCommand::Link(args) => !args.json,
         BenchCommand::BuildOne(_) | BenchCommand::Relay(_) => false,
@@ -71,6 +77,8 @@ pub fn run(command: BenchCommand, progress: &Progress) -> Result<(), CommandErro
         BenchCommand::Pack(args) => pack::run(args, progress),
         BenchCommand::ErrorTime(args) => error_time::run(&args, progress),
         BenchCommand::Scale(args) => scale::command::run(&args, progress),
+        BenchCommand::Tiles(args) => scale::tiles::run(&args, progress),
+        BenchCommand::WhatIf(args) => scale::what_if::run(&args),
         BenchCommand::Gpu(args) => gpu::run(&args, progress),
         BenchCommand::BuildOne(args) => build::run_one(&args),
         BenchCommand::Link(args) => scale::link_bench::run(&args, progress),

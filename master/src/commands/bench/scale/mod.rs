@@ -1,5 +1,6 @@
 //! Links and devices that this machine has not: emulated, measured, and stated; clusters of them, real and simulated.
 
+mod args;
 mod case;
 pub mod command;
 mod devices;
@@ -15,3 +16,6 @@ mod relay_process;
 mod report;
 mod sim;
 mod simulated;
+mod studio;
+pub mod tiles;
+pub mod what_if;

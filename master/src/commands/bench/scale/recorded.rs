@@ -16,8 +16,10 @@ pub struct Recorded {
     grid: TileGrid,
     /// By recorded tile.
     micros: Vec<u32>,
-    /// Of the image, RGBA8.
+    /// Of the image, RGBA8; empty where only costs are known.
     pixels: Vec<u8>,
+    /// Where there are none: bytes on the wire over bytes of pixels, by side of a tile.
+    packed: Vec<(u32, f64)>,
     /// Of the image.
     pub hash: String,
 }
@@ -41,7 +43,33 @@ impl Recorded {
             // No tile is free: a played one has a render call as well.
             micros[tile.tile.0 as usize] = u32::try_from(tile.render.as_micros()).unwrap_or(u32::MAX).max(1);
         }
-        Ok(Self { grid, micros, hash: frame.image.hash().to_string(), pixels: frame.image.data().to_vec() })
+        Ok(Self {
+            grid,
+            micros,
+            hash: frame.image.hash().to_string(),
+            packed: Vec::new(),
+            pixels: frame.image.data().to_vec(),
+        })
+    }
+
+    /// What a report has kept of one.
+    pub fn from_costs([width, height]: [u32; 2], costs: &RecordingCosts) -> Result<Self, String> {
+        let grid = TileGrid::new(width, height, costs.side).map_err(|e| e.to_string())?;
+        if costs.side != Self::SIDE || costs.micros.len() != grid.tiles() as usize {
+            let (have, need) = (costs.micros.len(), grid.tiles());
+            return Err(format!(
+                "costs of {have} tiles of {} pixels, {need} of {} are needed",
+                costs.side,
+                Self::SIDE
+            ));
+        }
+        if costs.micros.iter().all(|us| *us == 0)
+            || costs.packed.iter().any(|(_, ratio)| !(0.0..=1.0).contains(ratio))
+        {
+            return Err("costs or ratios that cannot be".into());
+        }
+        let (micros, packed) = (costs.micros.clone(), costs.packed.clone());
+        Ok(Self { grid, micros, pixels: Vec::new(), packed, hash: String::new() })
     }
 
     /// Writes it for devices to play.
@@ -92,6 +120,11 @@ impl Recorded {
 
     /// Bytes of `rect` on the wire where pixels are packed.
     pub fn wire_bytes(&self, rect: Rect) -> usize {
+        if self.pixels.is_empty() {
+            let bytes = 4.0 * f64::from(rect.width) * f64::from(rect.height);
+            let near = self.packed.iter().min_by_key(|(side, _)| side.abs_diff(rect.width));
+            return (near.map_or(1.0, |(_, ratio)| *ratio) * bytes).ceil() as usize;
+        }
         let pixels = self.pixels(rect);
         let packed = pixels::encode(PixelFormat::Rgba8, rect.width, &pixels, Coding::Lossless);
         packed.map_or(pixels.len(), |packed| packed.len())

@@ -1,0 +1,190 @@
+//! Measuring clusters of one frame's devices.
+
+use super::args::{ClusterArgs, DeviceKind};
+use super::case::{Case, Measured, Row, median, ms};
+use super::link::LinkProfile;
+use super::real::{Device, RealCluster};
+use super::recorded::Recorded;
+use super::sim::Costs;
+use super::simulated::Simulated;
+use crate::commands::args::Size;
+use crate::commands::progress::Progress;
+use crate::commands::run::prepare_scene;
+use crate::commands::{CommandError, PackingArgs};
+use std::path::PathBuf;
+use std::time::Duration;
+use tessera_geometry::LocalCamera;
+use tessera_master::prepare::{Prepared, choose_camera};
+use tessera_master::{Balance, FrameJob, PixelFormat};
+use tessera_wire::{Coding, Features, Sampling};
+
+/// A frame that was recorded, for clusters to render.
+pub struct Studio<'a> {
+    args: &'a ClusterArgs,
+    prepared: Prepared,
+    job: FrameJob,
+    pub recorded: Recorded,
+    /// What a second of the recording takes a device of speed 1.
+    scale: f64,
+    /// Holds the recording's file until the end.
+    _folder: tempfile::TempDir,
+    file: PathBuf,
+    pub scene: String,
+    pub camera: String,
+}
+
+/// How a case hands out tiles of which side; none leaves the side to the balancing, or is 128.
+pub type Way = (Balance, Option<u32>);
+
+impl<'a> Studio<'a> {
+    /// Prepares the scene, and records the frame.
+    pub fn open(args: &'a ClusterArgs, progress: &Progress) -> Result<Self, CommandError> {
+        let prepared = prepare_scene(&args.scene, &PackingArgs::default(), progress)?;
+        let (camera, job) = job(args, &prepared)?;
+        let recorded = {
+            let _bar = progress.step("recording the frame");
+            Recorded::render(&prepared.pack, &job, progress)?
+        };
+        let scale = match args.device {
+            DeviceKind::Real => 1.0,
+            DeviceKind::Replay | DeviceKind::Simulated => args.one_worker / recorded.total().as_secs_f64(),
+        };
+        let folder = tempfile::tempdir().map_err(CommandError::failed)?;
+        let file = folder.path().join("recording");
+        recorded.write(&file)?;
+        let scene = super::super::name_of(&args.scene);
+        Ok(Self { args, prepared, job, recorded, scale, _folder: folder, file, scene, camera })
+    }
+
+    /// What the frame takes one device of speed 1, without launches.
+    pub fn one_worker(&self) -> Duration {
+        self.recorded.total().mul_f64(self.scale)
+    }
+
+    /// Measures workers of these speeds in all `ways`.
+    pub fn measure_cluster(
+        &self,
+        link: &LinkProfile,
+        speeds: &[f64],
+        ways: &[Way],
+        progress: &Progress,
+        rows: &mut Vec<Row>,
+    ) -> Result<(), CommandError> {
+        let device = match self.args.device {
+            DeviceKind::Real => Some(Device::Real(&self.prepared.pack)),
+            DeviceKind::Replay => Some(Device::Replay {
+                recording: &self.file,
+                scale: self.scale,
+                launch_us: self.args.launch_us,
+            }),
+            DeviceKind::Simulated => None,
+        };
+        let cluster =
+            device.map(|device| RealCluster::start(link, speeds, device, progress.log())).transpose();
+        let mut cluster = cluster?;
+        let (runs, frames) = match (self.args.quick, speeds.len()) {
+            (false, _) => (self.args.runs, self.args.frames),
+            (true, 1) => (1, 1),
+            (true, _) => (1, 2),
+        };
+        for run in 0..runs {
+            for &(balance, side) in ways {
+                let case = Case { link: link.clone(), balance, speeds: speeds.to_vec() };
+                let tile = side.unwrap_or(if balance == Balance::Auto { 0 } else { 128 });
+                let job = FrameJob { tile, coding: self.coding(balance), ..self.job.clone() };
+                let warm = warm_up(balance, speeds.len());
+                let all = warm + frames as usize;
+                let predicted = self.simulator().run(&case, &job, all, &[])?;
+                let measured = match &mut cluster {
+                    Some(cluster) => cluster.run(&case, &job, all)?,
+                    None => predicted.clone(),
+                };
+                if let Some(wrong) = measured.iter().find(|frame| frame.hash != self.recorded.hash) {
+                    return Err(CommandError::Failed(format!(
+                        "{balance} on {}: the image is {}, not {}",
+                        link.name, wrong.hash, self.recorded.hash
+                    )));
+                }
+                let took: Vec<_> = predicted[warm..].iter().map(|frame| ms(frame.took)).collect();
+                let predicted = median(&took).filter(|_| cluster.is_some());
+                for (number, frame) in (0..).zip(&measured[warm..]) {
+                    rows.push(self.row(&case, run, number, frame, predicted));
+                }
+            }
+        }
+        if let Some(cluster) = cluster {
+            cluster.stop();
+        }
+        Ok(())
+    }
+
+    /// How pixels travel: as is asked for; the paper's ways send them raw, as the paper did.
+    fn coding(&self, balance: Balance) -> Option<Coding> {
+        match self.args.coding {
+            Some(coding) => coding.0,
+            None if matches!(balance, Balance::PaperStatic | Balance::PaperDynamic) => Some(Coding::Raw),
+            None => None,
+        }
+    }
+
+    fn simulator(&self) -> Simulated<'_> {
+        let launch = Duration::from_micros(self.args.launch_us.into());
+        Simulated { recorded: &self.recorded, scale: self.scale, launch, costs: Costs::default() }
+    }
+
+    fn row(&self, case: &Case, run: u32, frame: u32, measured: &Measured, predicted_ms: Option<f64>) -> Row {
+        let launches = Duration::from_micros(self.args.launch_us.into()) * measured.tiles;
+        let work = self.one_worker() + launches;
+        Row {
+            scene: self.scene.clone(),
+            link: case.link.name.clone(),
+            balance: case.balance.name().into(),
+            workers: case.speeds.len(),
+            device: self.args.device.name().into(),
+            run,
+            frame,
+            frame_ms: ms(measured.took),
+            ideal_ms: ms(case.ideal(work, measured.bytes)),
+            bytes: measured.bytes,
+            tile: measured.tile,
+            busy_share: measured.busy_share(case.speeds.len()),
+            dropped: measured.dropped,
+            predicted_ms,
+        }
+    }
+}
+
+/// Frames before the measured ones, in which a balancing learns. Those that learn nothing have one, in which caches are cold.
+fn warm_up(balance: Balance, workers: usize) -> usize {
+    match balance {
+        Balance::Auto if workers > 1 => 6,
+        Balance::Weighted | Balance::Staggered | Balance::Steal if workers > 1 => 2,
+        _ => usize::from(workers > 1),
+    }
+}
+
+/// The view of the frame that is measured.
+fn job(args: &ClusterArgs, prepared: &Prepared) -> Result<(String, FrameJob), CommandError> {
+    let chosen = choose_camera(&prepared.cameras, args.camera.as_deref()).map_err(CommandError::Usage)?;
+    let Size { width, height } = args.size;
+    let camera: LocalCamera = chosen
+        .pose
+        .to_local(&prepared.pack.frame(), width, height)
+        .map_err(|e| CommandError::Usage(format!("the camera cannot be used: {e}")))?;
+    let job = FrameJob {
+        camera,
+        width,
+        height,
+        tile: 128,
+        samples: 1,
+        sampling: Sampling::default(),
+        depth: 8,
+        seed: 0,
+        features: Features::default(),
+        format: PixelFormat::Rgba8,
+        balance: Balance::default(),
+        mix: false,
+        coding: None,
+    };
+    Ok((chosen.name.clone(), job))
+}
