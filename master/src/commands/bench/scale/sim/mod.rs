@@ -1,13 +1,15 @@
 //! A cluster in one thread under a virtual clock: the same state machines of master and workers, the same policies and the same links as in
 //! real runs, with what the rest takes (transport, wake-ups, the master's work) as a model that real runs are held against.
 
+#[cfg(test)]
+mod tests;
 mod transport;
 mod world;
 
 use super::link::LinkProfile;
 use std::time::Duration;
 use tessera_master::{Balance, FrameJob, TileRecord};
-use tessera_wire::{Coding, Rect, WorkerId};
+use tessera_wire::{Rect, WorkerId};
 
 /// A cluster that is to be simulated.
 pub struct Plot<'a> {
@@ -116,11 +118,6 @@ pub fn simulate(plot: &Plot<'_>) -> Result<Vec<Frame>, String> {
 
 fn id(worker: usize) -> WorkerId {
     WorkerId(worker as u32)
-}
-
-/// Whether tiles of `job` are packed where that makes them smaller.
-fn is_packed(job: &FrameJob) -> bool {
-    job.coding.is_some_and(|coding| coding != Coding::Raw)
 }
 
 /// What names a balancing in errors.

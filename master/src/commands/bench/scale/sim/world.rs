@@ -1,15 +1,15 @@
 //! The cluster: what happens when.
 
 use super::transport::{Later, Stream, Way};
-use super::{Fault, Frame, Plot, id, is_packed, name};
+use super::{Fault, Frame, Plot, id, name};
 use crate::commands::bench::scale::medium::{Direction, Medium};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap, VecDeque};
 use std::time::Duration;
 use tessera_master::coordinator::{Coordinator, FrameStatus, Output};
 use tessera_wire::{
-    Abilities, AbortCode, BatchHeader, FrameId, Hello, PackId, Rays, Rect, Role, TileCoding, TileEntry,
-    ToMaster, ToWorker, Token, Version, codec,
+    Abilities, AbortCode, BatchHeader, Coding, FrameId, Hello, PackId, Rays, Rect, Role, TileCoding,
+    TileEntry, TileGrid, ToMaster, ToWorker, Token, Version, codec,
 };
 use tessera_worker::session::{Action, Batch, RenderTask, RenderedTile, Session, TileName};
 
@@ -31,8 +31,6 @@ pub struct World<'a> {
     /// When the first frame began.
     begun: Duration,
     frame: usize,
-    /// Side of the tiles of the frame.
-    side: u32,
 }
 
 struct Worker {
@@ -101,7 +99,6 @@ impl<'a> World<'a> {
             looked: Duration::ZERO,
             begun: Duration::ZERO,
             frame: 0,
-            side: plot.job.tile,
         };
         let late: Vec<_> = plot
             .faults
@@ -221,9 +218,6 @@ impl<'a> World<'a> {
                 self.carry_out();
             }
             Happening::Worker(worker, message) => {
-                if let ToWorker::Frame(frame) = &*message {
-                    self.side = frame.tile;
-                }
                 self.session(worker, |s| s.message(*message));
             }
             Happening::Rendered(worker, number, tile) => {
@@ -376,10 +370,10 @@ impl<'a> World<'a> {
     }
 
     fn give_back(&mut self, worker: usize, batch: Batch) {
-        let Batch { header, pixels, .. } = batch;
-        let is_packed = is_packed(self.plot.job);
+        let Batch { header, pixels, frame, .. } = batch;
+        let is_packed = frame.coding != Coding::Raw;
         let mut entries = Vec::with_capacity(header.tiles.len());
-        let grid = tessera_wire::TileGrid::new(self.plot.job.width, self.plot.job.height, self.plot.job.tile);
+        let grid = TileGrid::new(frame.width, frame.height, frame.tile);
         let mut coding = 0.0;
         for entry in &header.tiles {
             let rect = grid.as_ref().ok().and_then(|grid| grid.rect(entry.tile));
