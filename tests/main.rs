@@ -19,6 +19,7 @@ mod gpu;
 mod joined;
 mod kernels;
 mod leaks;
+mod links;
 #[cfg(target_os = "linux")]
 mod machines;
 mod oracle;

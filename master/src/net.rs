@@ -1,13 +1,14 @@
 //! QUIC, the master's side.
 
 use quinn::{
-    Connection, Endpoint, EndpointConfig, IdleTimeout, MtuDiscoveryConfig, ServerConfig, TransportConfig,
-    VarInt, crypto::rustls::QuicServerConfig,
+    AckFrequencyConfig, Connection, Endpoint, EndpointConfig, IdleTimeout, MtuDiscoveryConfig, ServerConfig,
+    TransportConfig, VarInt, congestion::BbrConfig, crypto::rustls::QuicServerConfig,
 };
 use std::{
     io,
     net::{IpAddr, SocketAddr, UdpSocket},
     sync::Arc,
+    time::Duration,
 };
 use tessera_trust::Identity;
 use tessera_wire::limits;
@@ -116,11 +117,20 @@ pub(crate) fn reachable(bound: IpAddr) -> IpAddr {
     })
 }
 
+/// How long a joiner may hold an acknowledgement back. By default that is 25 ms, which a master that waits for room, and the loss of the last
+/// packets, then wait for.
+const ACK_DELAY: Duration = Duration::from_millis(2);
+
 /// QUIC's settings on this side; the numbers and their reasons are in [`limits`]. The joiner has the mirror
-/// image. Who has not been let in yet has a small window: it is raised by [`admit`].
+/// image, but for the congestion control. Who has not been let in yet has a small window: it is raised by [`admit`].
+///
+/// A master sends packs, long and to few at a time: BBR brings 81 of 96 Mbit/s over the emulated `wan` and 156 of 189 over `wifi-ac`, of which
+/// one packet of a thousand is lost, where Cubic brings 50 and 105 (`tessera bench link`, `down`). Over `lan100` both bring 90 of 98.
 fn transport() -> TransportConfig {
     let mut discovery = MtuDiscoveryConfig::default();
     discovery.upper_bound(limits::UDP_PAYLOAD_BYTES);
+    let mut acknowledgements = AckFrequencyConfig::default();
+    acknowledgements.max_ack_delay(Some(ACK_DELAY));
     let mut transport = TransportConfig::default();
     transport
         .mtu_discovery_config(Some(discovery))
@@ -131,6 +141,8 @@ fn transport() -> TransportConfig {
         .stream_receive_window(VarInt::from_u32(limits::STREAM_WINDOW_BYTES))
         .receive_window(VarInt::from_u32(limits::STRANGER_WINDOW_BYTES))
         .send_window(limits::CONNECTION_WINDOW_BYTES.into())
+        .congestion_controller_factory(Arc::new(BbrConfig::default()))
+        .ack_frequency_config(Some(acknowledgements))
         .datagram_receive_buffer_size(None);
     transport
 }
@@ -151,6 +163,7 @@ mod tests {
             "receive_window: 16384",
             "send_window: 16777216",
             "datagram_receive_buffer_size: None",
+            "max_ack_delay: Some(2ms)",
             "upper_bound: 8972",
         ] {
             assert!(text.contains(part), "`{part}` is not in {text}");

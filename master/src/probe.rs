@@ -1,18 +1,20 @@
 //! What a link carries, with the transport that frames have: a master without work, which returns what it is told and counts what it is sent.
 
 use crate::net;
-use quinn::{Connection, Endpoint, RecvStream};
+use quinn::{Connection, Endpoint, RecvStream, SendStream};
 use std::net::{Ipv4Addr, SocketAddr};
 use tessera_trust::Identity;
 use tessera_wire::{JoinString, Token, codec};
 use tokio::{sync::watch, task::JoinSet};
 
 /// A master for measurements on this machine, on loopback: whoever comes is let in. `tessera_worker::connect` joins it; control bytes
-/// come back as they are, and bulk bytes are counted. Dropping it ends all connections.
+/// come back as they are, and bulk bytes are counted; the first to come is sent some. Dropping it ends all connections.
 pub struct LinkProbe {
     endpoint: Endpoint,
     join: JoinString,
     received: watch::Receiver<u64>,
+    /// Bytes that the first peer is to have been sent.
+    sent: watch::Sender<u64>,
     _tasks: JoinSet<()>,
 }
 
@@ -39,8 +41,9 @@ impl LinkProbe {
         };
         let (count, received) = watch::channel(0);
         let mut tasks = JoinSet::new();
-        tasks.spawn(keep(endpoint.clone(), count));
-        Ok(Self { endpoint, join, received, _tasks: tasks })
+        let (sent, wanted) = watch::channel(0);
+        tasks.spawn(keep(endpoint.clone(), count, wanted));
+        Ok(Self { endpoint, join, received, sent, _tasks: tasks })
     }
 
     /// Its address.
@@ -51,6 +54,11 @@ impl LinkProbe {
     /// How to join it at `address`, which leads to its own.
     pub fn join_at(&self, address: SocketAddr) -> JoinString {
         JoinString { host: address.ip().to_string(), port: address.port(), ..self.join.clone() }
+    }
+
+    /// Sends the first peer so many bytes more, over its bulk pipe.
+    pub fn send(&self, bytes: u64) {
+        self.sent.send_modify(|total| *total += bytes);
     }
 
     /// Bulk bytes of all peers so far.
@@ -70,16 +78,17 @@ impl Drop for LinkProbe {
     }
 }
 
-async fn keep(endpoint: Endpoint, count: watch::Sender<u64>) {
+async fn keep(endpoint: Endpoint, count: watch::Sender<u64>, wanted: watch::Receiver<u64>) {
     let mut peers = JoinSet::new();
+    let mut first = Some(wanted);
     loop {
         tokio::select! {
             incoming = endpoint.accept() => {
                 let Some(incoming) = incoming else { return };
-                let count = count.clone();
+                let (count, wanted) = (count.clone(), first.take());
                 peers.spawn(async move {
                     if let Ok(connection) = incoming.await {
-                        serve(connection, &count).await;
+                        serve(connection, &count, wanted).await;
                     }
                 });
             }
@@ -89,7 +98,7 @@ async fn keep(endpoint: Endpoint, count: watch::Sender<u64>) {
 }
 
 /// Sees one peer through; its streams end with it.
-async fn serve(connection: Connection, count: &watch::Sender<u64>) {
+async fn serve(connection: Connection, count: &watch::Sender<u64>, wanted: Option<watch::Receiver<u64>>) {
     net::admit(&connection);
     let echo = async {
         let Ok((mut control_out, mut control_in)) = connection.accept_bi().await else { return };
@@ -105,7 +114,27 @@ async fn serve(connection: Connection, count: &watch::Sender<u64>) {
             swallow(bulk_in, count).await;
         }
     };
-    tokio::join!(echo, sink);
+    let source = async {
+        if let (Some(wanted), Ok(bulk_out)) = (wanted, connection.open_uni().await) {
+            pour(bulk_out, wanted).await;
+        }
+    };
+    tokio::join!(echo, sink, source);
+}
+
+/// Writes the tag, and as many bytes as are wanted.
+async fn pour(mut bulk: SendStream, mut wanted: watch::Receiver<u64>) {
+    let bytes = vec![0; 1 << 20];
+    let mut sent = 0;
+    let mut result = bulk.write_all(&codec::BULK_TAG).await;
+    while result.is_ok() {
+        let Ok(left) = wanted.wait_for(|&total| total > sent).await.map(|total| *total - sent) else {
+            return;
+        };
+        let piece = left.min(bytes.len() as u64);
+        result = bulk.write_all(&bytes[..piece as usize]).await;
+        sent += piece;
+    }
 }
 
 /// Counts what comes behind the tag.

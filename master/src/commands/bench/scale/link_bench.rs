@@ -1,7 +1,8 @@
 //! `tessera bench link`: what the transport of frames gets out of an emulated link, beside what the link has to give.
 
 use super::link::LinkProfile;
-use super::medium::{Direction, Medium};
+use super::medium::Direction::{self, Down, Up};
+use super::medium::Medium;
 use super::relay::RelayReport;
 use super::relay_process::RelayProcess;
 use crate::commands::progress::Progress;
@@ -10,6 +11,7 @@ use crate::commands::{CommandError, print_text};
 use clap::Args;
 use serde::Serialize;
 use std::fmt::Write as _;
+use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 use tessera_master::LinkProbe;
 use tessera_trust::Identity;
@@ -36,10 +38,13 @@ const TILES: usize = 20;
 const SHARE_BYTES: usize = 256 << 10;
 
 /// Pictures, of which the median counts.
-const FRAMES: usize = 9;
+const PICTURES: usize = 9;
 
 /// Between tiles and pictures: longer than a radio's burst.
 const PAUSE: Duration = Duration::from_millis(20);
+
+/// After a connection is made, until it has found out how large packets may be.
+const SETTLING: Duration = Duration::from_secs(1);
 
 /// What a long transfer takes on a link that does what it promises.
 const TRANSFER: Duration = Duration::from_secs(1);
@@ -78,6 +83,8 @@ struct Line {
     up_mbit_1: Pair,
     /// The same of 16 at once.
     up_mbit_16: Pair,
+    /// Of a long transfer from the master to one peer, as of a pack.
+    down_mbit: Pair,
     /// What the relay did, unless there was none.
     relay: Option<RelayReport>,
 }
@@ -107,11 +114,18 @@ pub fn run(args: &LinkArgs, progress: &Progress) -> Result<(), CommandError> {
 
 fn table(lines: &[Line]) -> String {
     let mut text = String::from(
-        "through     round trip ms     a tile ms         a picture ms      1 peer Mbit/s     16 peers Mbit/s\n",
+        "through     round trip ms     a tile ms         a picture ms      1 up Mbit/s       16 up Mbit/s      down Mbit/s\n",
     );
     for line in lines {
         let _ = write!(text, "{:<11}", line.link);
-        let pairs = [line.round_trip_ms, line.tile_ms, line.picture_ms, line.up_mbit_1, line.up_mbit_16];
+        let pairs = [
+            line.round_trip_ms,
+            line.tile_ms,
+            line.picture_ms,
+            line.up_mbit_1,
+            line.up_mbit_16,
+            line.down_mbit,
+        ];
         for Pair { measured, promised } in pairs {
             let promised = promised.map_or("-".into(), |promised| format!("{promised:.1}"));
             let _ = write!(text, " {:<17}", format!("{measured:.1} of {promised}"));
@@ -136,60 +150,66 @@ async fn measure(profile: &LinkProfile) -> Result<Line, String> {
         false => Some(RelayProcess::start(profile, probe.address()).map_err(|e| format!("no relay: {e}"))?),
     };
     let address = relay.as_ref().map_or(probe.address(), RelayProcess::address);
-    let join = probe.join_at(address);
-    let mut peers = Vec::new();
-    for _ in 0..PEERS {
-        let own = Identity::new().map_err(|e| e.to_string())?;
-        let Connected { pipes, closer } =
-            tessera_worker::connect(&join, &own).await.map_err(|e| format!("{}: {e}", profile.name))?;
-        peers.push(Peer { pipes, _closer: closer });
-    }
-
+    let mut peers = vec![join(&probe, address).await?];
+    sleep(SETTLING).await;
     let round_trip = round_trips(&mut peers[0]).await?;
-    let mut tiles = Vec::new();
-    for _ in 0..TILES {
-        sleep(PAUSE).await;
-        tiles.push(transfer(&mut peers[..1], TILE_BYTES, &mut probe).await?);
+    let tile = transfers(&mut peers, TILES, TILE_BYTES, &mut probe).await?;
+    for _ in 1..PEERS {
+        peers.push(join(&probe, address).await?);
     }
-    let mut pictures = Vec::new();
-    for _ in 0..FRAMES {
-        sleep(PAUSE).await;
-        pictures.push(transfer(&mut peers, SHARE_BYTES, &mut probe).await?);
-    }
-    let bytes = profile.mbit_up.map_or(*TRANSFER_BYTES.end(), |mbit| {
-        let bytes = (mbit * 125_000.0 * TRANSFER.as_secs_f64()) as u64;
-        bytes.clamp(*TRANSFER_BYTES.start(), *TRANSFER_BYTES.end())
-    }) as usize;
+    sleep(SETTLING).await;
+    let picture = transfers(&mut peers, PICTURES, SHARE_BYTES, &mut probe).await?;
+    let (bytes, down_bytes) = (long(profile.mbit_up), long(profile.mbit_down));
+    let down = fetch(&mut peers[0], down_bytes, &mut probe).await?;
     let one = transfer(&mut peers[..1], bytes, &mut probe).await?;
     let all = transfer(&mut peers, bytes / PEERS as usize, &mut probe).await?;
 
-    let is_limited = !profile.is_straight();
-    let promise = |value: f64| is_limited.then_some(value);
     let ms = |time: Duration| time.as_secs_f64() * 1e3;
-    let mbit = |time: Duration| bytes as f64 * 8e-6 / time.as_secs_f64();
-    let has_rate = |value: f64| profile.mbit_up.map(|_| value);
+    let mbit = |bytes: usize, time: Duration| bytes as f64 * 8e-6 / time.as_secs_f64();
+    let is_straight = profile.is_straight();
+    let times =
+        |measured, promised| Pair { measured: ms(measured), promised: (!is_straight).then(|| ms(promised)) };
+    let rates = |bytes, measured, promised| Pair {
+        measured: mbit(bytes, measured),
+        promised: (!is_straight).then(|| mbit(bytes, promised)),
+    };
     Ok(Line {
         link: profile.name.clone(),
         source: profile.source.clone(),
-        round_trip_ms: Pair { measured: ms(round_trip), promised: promise(ms(promised_round_trip(profile))) },
-        tile_ms: Pair {
-            measured: ms(median(&mut tiles)),
-            promised: promise(ms(promised(profile, 1, TILE_BYTES))),
-        },
-        picture_ms: Pair {
-            measured: ms(median(&mut pictures)),
-            promised: promise(ms(promised(profile, PEERS, SHARE_BYTES))),
-        },
-        up_mbit_1: Pair { measured: mbit(one), promised: has_rate(mbit(promised(profile, 1, bytes))) },
-        up_mbit_16: Pair {
-            measured: mbit(all),
-            promised: has_rate(mbit(promised(profile, PEERS, bytes / PEERS as usize))),
-        },
+        round_trip_ms: times(round_trip, promised_round_trip(profile)),
+        tile_ms: times(tile, promised(profile, Up, 1, TILE_BYTES)),
+        picture_ms: times(picture, promised(profile, Up, PEERS, SHARE_BYTES)),
+        up_mbit_1: rates(bytes, one, promised(profile, Up, 1, bytes)),
+        up_mbit_16: rates(bytes, all, promised(profile, Up, PEERS, bytes / PEERS as usize)),
+        down_mbit: rates(down_bytes, down, promised(profile, Down, 1, down_bytes)),
         relay: match &mut relay {
             Some(relay) => Some(relay.report().map_err(|e| e.to_string())?),
             None => None,
         },
     })
+}
+
+/// A peer that has joined at `address`.
+async fn join(probe: &LinkProbe, address: SocketAddr) -> Result<Peer, String> {
+    let own = Identity::new().map_err(|e| e.to_string())?;
+    let connected = tessera_worker::connect(&probe.join_at(address), &own).await;
+    let Connected { pipes, closer } = connected.map_err(|e| e.to_string())?;
+    Ok(Peer { pipes, _closer: closer })
+}
+
+/// The median time of `count` transfers, each of an idle link.
+async fn transfers(
+    peers: &mut [Peer],
+    count: usize,
+    bytes: usize,
+    probe: &mut LinkProbe,
+) -> Result<Duration, String> {
+    let mut times = Vec::new();
+    for _ in 0..count {
+        sleep(PAUSE).await;
+        times.push(transfer(peers, bytes, probe).await?);
+    }
+    Ok(median(&mut times))
 }
 
 /// The median time of a small message there and back.
@@ -239,6 +259,29 @@ async fn transfer(peers: &mut [Peer], bytes: usize, probe: &mut LinkProbe) -> Re
     Ok(begun.elapsed())
 }
 
+/// How long `bytes` from the master take to come.
+async fn fetch(peer: &mut Peer, bytes: usize, probe: &mut LinkProbe) -> Result<Duration, String> {
+    let begun = Instant::now();
+    probe.send(bytes as u64);
+    let mut piece = vec![0; 64 << 10];
+    let mut left = bytes;
+    while left > 0 {
+        let room = left.min(piece.len());
+        let read = timeout(PATIENCE, peer.pipes.bulk_in.read(&mut piece[..room])).await;
+        match read.map_err(|_| late())?.map_err(|e| e.to_string())? {
+            0 => return Err("the probe has ended".into()),
+            length => left -= length,
+        }
+    }
+    Ok(begun.elapsed())
+}
+
+/// Bytes of a long transfer at that rate.
+fn long(mbit: Option<f64>) -> usize {
+    let bytes = mbit.map_or(*TRANSFER_BYTES.end(), |mbit| (mbit * 125_000.0 * TRANSFER.as_secs_f64()) as u64);
+    bytes.clamp(*TRANSFER_BYTES.start(), *TRANSFER_BYTES.end()) as usize
+}
+
 fn late() -> String {
     format!("nothing more came through in {} s", PATIENCE.as_secs())
 }
@@ -255,7 +298,7 @@ fn promised_round_trip(profile: &LinkProfile) -> Duration {
     let mut times = Vec::new();
     for _ in 0..MESSAGES {
         let begun = now;
-        for direction in [Direction::Up, Direction::Down] {
+        for direction in [Up, Down] {
             // What is lost does not count.
             now = medium.send(now, direction, 0, MESSAGE_BYTES).unwrap_or(now);
         }
@@ -266,7 +309,7 @@ fn promised_round_trip(profile: &LinkProfile) -> Duration {
 
 /// How long `bytes` of each of `peers` take on the link alone: full packets of all peers in turn, sent again at once if they are lost, and as
 /// soon as the queue lets them in.
-fn promised(profile: &LinkProfile, peers: u32, bytes: usize) -> Duration {
+fn promised(profile: &LinkProfile, direction: Direction, peers: u32, bytes: usize) -> Duration {
     /// What a sender waits before it tries a full queue again.
     const AGAIN: Duration = Duration::from_micros(20);
     let mut medium = Medium::new(profile);
@@ -274,10 +317,10 @@ fn promised(profile: &LinkProfile, peers: u32, bytes: usize) -> Duration {
     for _ in 0..bytes.div_ceil(profile.mtu as usize) {
         for peer in 0..peers {
             let arrives = loop {
-                let before = medium.counters(Direction::Up).overflowed;
-                match medium.send(now, Direction::Up, peer, profile.mtu as usize) {
+                let before = medium.counters(direction).overflowed;
+                match medium.send(now, direction, peer, profile.mtu as usize) {
                     Some(arrives) => break arrives,
-                    None if medium.counters(Direction::Up).overflowed > before => now += AGAIN,
+                    None if medium.counters(direction).overflowed > before => now += AGAIN,
                     None => {}
                 }
             };
