@@ -170,6 +170,43 @@ impl Dispatch {
         Ok(self.hand_out(now))
     }
 
+    /// `worker` has been told that nobody waits for some of its tiles, and will not render `tiles` of them; what it gets next. Nothing is
+    /// learnt of its pace, and it is no progress: one that answers and never renders is found out nevertheless.
+    pub fn cancelled(
+        &mut self,
+        worker: WorkerId,
+        tiles: u32,
+        now: Duration,
+    ) -> Result<Vec<Assignment>, Violation> {
+        let Some(hand) = self.crew.get_mut(&worker) else { return Ok(Vec::new()) };
+        let wrong = Violation::Rendered { tiles, queued: hand.queued };
+        let left = hand.queued.checked_sub(tiles).ok_or(wrong)?;
+        if left == 0 && hand.queued > 0 {
+            let silent = now.saturating_sub(hand.since);
+            hand.worn += silent.div_duration_f64(self.pace.stalled_after(hand.queued));
+        }
+        hand.queued = left;
+        Ok(self.hand_out(now))
+    }
+
+    /// Living workers but `worker` that were given `tile` and have not said that all of their tiles are rendered.
+    pub fn other_holders(&self, tile: TileId, worker: WorkerId) -> Vec<WorkerId> {
+        let attempts = self.tiles.get(tile.0 as usize).map_or(&[][..], |tile| &tile.attempts);
+        let holds = |other: &WorkerId| self.crew.get(other).is_some_and(|hand| hand.queued > 0);
+        let mut others: Vec<_> = attempts.iter().map(|&(other, _)| other).filter(|&w| w != worker).collect();
+        others.sort_unstable();
+        others.dedup();
+        others.retain(holds);
+        others
+    }
+
+    /// The workers had other frames to render first: nobody was silent before now.
+    pub fn restart_clocks(&mut self, now: Duration) {
+        for hand in self.crew.values_mut() {
+            hand.since = hand.since.max(now);
+        }
+    }
+
     /// Takes a result: `true` if it is the first for its tile, `false` if it must be dropped.
     pub fn accept(
         &mut self,
