@@ -3,7 +3,7 @@
 use super::{CommandError, Held, Session, ended, show};
 use crate::commands::progress::Bar;
 use std::time::{Duration, Instant};
-use tessera_master::{Client, Cluster, FrameJob, SequenceConfig, SequenceFrame, Stale};
+use tessera_master::{Client, Cluster, FrameJob, Progress, SequenceConfig, SequenceFrame, Stale};
 use tokio::sync::mpsc;
 
 /// A frame that is asked for, or why none is any more.
@@ -48,7 +48,7 @@ impl Session<'_> {
         images: mpsc::Sender<SequenceFrame>,
     ) -> Result<Rendered, CommandError> {
         let (Some(runtime), Some(held)) = (&self.runtime, &mut self.held) else { return Err(ended()) };
-        let bar = self.progress.parts("rendering tiles");
+        let bar = self.progress.parts("rendering frames");
         let rendered = runtime.block_on(async {
             match held {
                 Held::Local(cluster) => on_cluster(cluster, source, config, images, &bar).await,
@@ -69,22 +69,24 @@ async fn on_cluster(
 ) -> Result<Rendered, CommandError> {
     let mut frames = cluster.frames(config).map_err(CommandError::failed)?;
     let mut begun = None;
-    let (mut took, mut is_open) = (Duration::ZERO, true);
+    let (mut took, mut is_open, mut asked) = (Duration::ZERO, true, 0);
     while is_open || !frames.is_empty() {
         // Where the newest wins, none waits outside.
         let wants_more = is_open && (config.stale != Stale::Render || frames.has_room());
         let is_empty = frames.is_empty();
         tokio::select! {
             biased;
-            asked = source.next(), if wants_more => match asked {
-                Some(asked) => {
+            job = source.next(), if wants_more => match job {
+                Some(job) => {
                     begun.get_or_insert_with(Instant::now);
-                    frames.push(asked?);
+                    frames.push(job?);
+                    asked += 1;
                 }
                 None => is_open = false,
             },
-            frame = frames.next(|event| show(bar, &event)), if !is_empty => {
+            frame = frames.next(|event| show_others(bar, &event)), if !is_empty => {
                 if let Some(frame) = frame.map_err(CommandError::failed)? {
+                    bar.set(frame.number + 1, asked);
                     took = begun.map_or(Duration::ZERO, |begun| begun.elapsed());
                     if images.send(frame).await.is_err() {
                         break;
@@ -94,6 +96,13 @@ async fn on_cluster(
         }
     }
     Ok(Rendered { took, skipped: frames.skipped(), given_up: frames.given_up() })
+}
+
+/// What happens, but for tiles: those of several frames come mixed.
+fn show_others(bar: &Bar, event: &Progress<'_>) {
+    if !matches!(event, Progress::Tiles { .. }) {
+        show(bar, event);
+    }
 }
 
 async fn at_master(
@@ -116,7 +125,8 @@ async fn at_master(
                 rendered.skipped += 1;
             }
         }
-        let result = client.render(&job, |event| show(bar, &event)).await.map_err(CommandError::failed)?;
+        let result =
+            client.render(&job, |event| show_others(bar, &event)).await.map_err(CommandError::failed)?;
         rendered.took = begun.elapsed();
         if images.send(SequenceFrame { number, result, latency: at.elapsed() }).await.is_err() {
             break;
