@@ -28,6 +28,7 @@ mod processes;
 mod rays;
 mod referee;
 mod scenes;
+mod sequence;
 mod service;
 mod simulation;
 mod stiff;

@@ -2,16 +2,18 @@
 //! messages, workers that die, stall, leave and join late. Whatever happens, a frame is complete with every tile
 //! once, as long as one worker lives and works, and no tile is with more than two of them.
 
+mod frames;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tessera_geometry::{LocalCamera, Vec3};
 use tessera_master::coordinator::{Coordinator, Event, FrameStatus, Outcome, Output};
 use tessera_master::{Balance, FrameJob, PixelFormat};
 use tessera_wire::{
-    Abilities, AbortCode, Attempt, Features, FrameId, Hello, PackId, Rays, Rect, Role, TileEntry, TileId,
-    ToMaster, ToWorker, Token, Version, WorkerId, limits,
+    Abilities, AbortCode, Attempt, Features, FrameId, Hello, PackId, Rays, Rect, ReturnMode, Role, TileEntry,
+    TileId, ToMaster, ToWorker, Token, Version, WorkerId, limits,
 };
-use tessera_worker::session::{Action, Batch, Ending, RenderTask, RenderedTile, Session};
+use tessera_worker::session::{Action, Batch, Ending, RenderTask, RenderedTile, Session, TileName};
 
 const PACKS: [PackId; 2] = [PackId([9; 32]), PackId([8; 32])];
 const PACK_BYTES: u64 = 1000;
@@ -84,7 +86,7 @@ fn a_frame_whose_only_worker_stalls_fails_after_a_deadline() {
         assert_eq!(world.render(&job).err(), Some(FrameStatus::Failed { done: 0, total: 64 }), "{balance}");
         let waited = (world.now - begun).as_secs();
         // A minute and 10 ms a sample of what it says at once: a tile, or with `paper-static` all.
-        let samples = if balance == Balance::PaperStatic { 64 * 64 } else { 64 };
+        let samples = if balance.returns() == ReturnMode::AtEnd { 64 * 64 } else { 64 };
         assert_eq!(waited, 60 + samples / 100, "{balance}");
         let reason = world.reasons.last().expect("it was lost");
         assert!(reason.contains("stalled"), "{reason}");
@@ -237,11 +239,11 @@ fn a_worker_that_returns_nonsense_is_cut_off_and_the_others_finish() {
     for trick in tricks {
         let mut world = World::with_workers(1, 3);
         let job = FrameJob { width: 64, height: 64, tile: 8, ..world.random_job() };
-        world.coordinator.begin(&job, world.now).expect("a job in range");
+        let frame = world.coordinator.begin(&job, world.now).expect("a job in range");
         let first = TileEntry::raw(256);
         trick(&mut world, first);
         world.expected_lost.insert(WorkerId(0));
-        let outcome = world.finish(&job).expect("two workers are enough");
+        let outcome = world.finish(frame, &job).expect("two workers are enough");
         assert!(outcome.workers[0].lost.as_ref().is_some_and(|r| r.starts_with("bad tiles")), "{outcome:?}");
         check_frame(1, &job, &outcome);
     }
@@ -253,13 +255,13 @@ fn a_worker_that_keeps_its_pixels_is_helped_and_alone_it_is_cut_off() {
         let mut world = World::with_workers(1, crew);
         let job =
             FrameJob { width: 64, height: 64, tile: 8, balance: Balance::PaperStatic, ..world.random_job() };
-        world.coordinator.begin(&job, world.now).expect("a job in range");
+        let frame = world.coordinator.begin(&job, world.now).expect("a job in range");
         // Its connection stays; it says that its share of 64 tiles is rendered, and nothing else.
         world.workers[0].is_alive = false;
         world.expected_lost.insert(WorkerId(0));
         let begun = world.now;
         world.happen(Happening::ToMaster(WorkerId(0), ToMaster::Rendered { frame: FrameId(1), tiles }));
-        match world.finish(&job) {
+        match world.finish(frame, &job) {
             Ok(outcome) => {
                 assert!(crew == 3 && world.lost.is_empty() && world.now < begun + Duration::from_secs(6));
                 check_frame(1, &job, &outcome);
@@ -276,7 +278,10 @@ fn a_worker_that_keeps_its_pixels_is_helped_and_alone_it_is_cut_off() {
 /// The right pixels everywhere, and every tile, ray and worker accounted for once.
 fn check_frame(seed: u64, job: &FrameJob, outcome: &Outcome) {
     let image = Rect { x: 0, y: 0, width: job.width, height: job.height };
-    assert!(outcome.image.data() == pixels(image, job.format), "seed {seed}: a wrong pixel, {job:?}");
+    assert!(
+        outcome.image.data() == pixels(image, job.format, job.seed),
+        "seed {seed}: a wrong pixel, {job:?}"
+    );
     assert_eq!(outcome.rays.primary, u64::from(job.width) * u64::from(job.height), "seed {seed}");
     let tiles = job.width.div_ceil(job.tile) * job.height.div_ceil(job.tile);
     assert_eq!(outcome.workers.iter().map(|w| w.tiles).sum::<u32>(), tiles, "seed {seed}");
@@ -284,12 +289,12 @@ fn check_frame(seed: u64, job: &FrameJob, outcome: &Outcome) {
     assert_eq!(times.render + times.return_, times.frame, "seed {seed}");
 }
 
-/// What a renderer would make of `rect`: a colour that depends on the place alone.
-fn pixels(rect: Rect, format: PixelFormat) -> Vec<u8> {
+/// What a renderer would make of `rect`: a colour that depends on the place and on the frame's seed alone.
+fn pixels(rect: Rect, format: PixelFormat, seed: u64) -> Vec<u8> {
     let places =
         (rect.y..rect.y + rect.height).flat_map(|y| (rect.x..rect.x + rect.width).map(move |x| (x, y)));
     let bytes = |(x, y): (u32, u32)| {
-        let word = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77);
+        let word = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ seed as u32;
         word.to_le_bytes().into_iter().cycle().take(format.bytes_per_pixel())
     };
     places.flat_map(bytes).collect()
@@ -306,6 +311,8 @@ struct World {
     random: u64,
     /// How much longer than a message a pack takes.
     pack_time: Duration,
+    /// How many times as long as usual tiles take.
+    slowness: u32,
     /// Whether workers die and messages are repeated.
     is_rough: bool,
     /// Most tiles that any worker renders ahead.
@@ -313,8 +320,12 @@ struct World {
     expected_lost: BTreeSet<WorkerId>,
     lost: Vec<WorkerId>,
     reasons: Vec<String>,
-    /// Who was given each tile of the current frame.
-    holders: BTreeMap<TileId, Vec<WorkerId>>,
+    /// Who was given each tile of frames that are under way.
+    holders: BTreeMap<(FrameId, TileId), Vec<WorkerId>>,
+    /// Tiles that were stopped while they were rendered.
+    stopped: u32,
+    /// Tiles that workers have said they will not render, being told so.
+    cancelled: u32,
     /// Tiles that were with two living workers.
     shared_tiles: u32,
     /// Workers of the current frame when it was begun.
@@ -333,7 +344,7 @@ struct Worker {
     /// Until then it finishes no tile, although it talks.
     stalled_until: Duration,
     /// Tiles that it has begun and neither finished nor stopped, by their place in the order in which it began.
-    in_hand: BTreeSet<u64>,
+    in_hand: BTreeMap<u64, TileName>,
     begun: u64,
     /// When the last thing put on each of its pipes arrives: to the worker, control and bulk to the master.
     arrivals: [Duration; 3],
@@ -345,7 +356,7 @@ enum Happening {
     PackArrives(WorkerId, PackId),
     /// Unless stopped: if it still has this one in hand.
     Rendered(WorkerId, u64, Box<RenderedTile>),
-    Stopped(WorkerId),
+    Stopped(WorkerId, TileName),
     BatchSent(WorkerId),
     Tile(WorkerId, FrameId, TileEntry, Vec<u8>),
     Die(WorkerId),
@@ -383,12 +394,15 @@ impl World {
             now: Duration::ZERO,
             random: seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) + 1,
             pack_time: Duration::ZERO,
+            slowness: 1,
             is_rough: false,
             most_ahead: 1,
             expected_lost: BTreeSet::new(),
             lost: Vec::new(),
             reasons: Vec::new(),
             holders: BTreeMap::new(),
+            stopped: 0,
+            cancelled: 0,
             shared_tiles: 0,
             began_with: 0,
             took_part_late: 0,
@@ -427,7 +441,7 @@ impl World {
             is_alive: true,
             speed,
             stalled_until: Duration::ZERO,
-            in_hand: BTreeSet::new(),
+            in_hand: BTreeMap::new(),
             begun: 0,
             arrivals: [self.now; 3],
         });
@@ -440,41 +454,46 @@ impl World {
         assert_eq!(self.coordinator.holders().count(), self.coordinator.joined().count());
     }
 
-    /// One frame, with a few disasters on the way if the world is rough.
-    fn render(&mut self, job: &FrameJob) -> Result<Outcome, FrameStatus> {
-        if self.is_rough {
-            let alive: Vec<_> = self.coordinator.joined().collect();
-            // One is spared.
-            for &worker in &alive[1..] {
-                let at = self.now + self.micros(1, 8000);
-                match self.below(11) {
-                    4 => self.schedule(at, Happening::Drain(worker)),
-                    0 => self.schedule(at, Happening::Die(worker)),
-                    1 => self.schedule(at, Happening::Leave(worker)),
-                    2 => {
-                        let until = at + self.micros(1, 10_000_000);
-                        self.schedule(at, Happening::Stall(worker, until));
-                    }
-                    3 => self.schedule(at, Happening::Stall(worker, Duration::MAX)),
-                    _ => {}
+    /// A few things that go wrong in the next milliseconds, if the world is rough.
+    fn disasters(&mut self) {
+        if !self.is_rough {
+            return;
+        }
+        let alive: Vec<_> = self.coordinator.joined().collect();
+        // One is spared.
+        for &worker in &alive[1..] {
+            let at = self.now + self.micros(1, 8000);
+            match self.below(11) {
+                4 => self.schedule(at, Happening::Drain(worker)),
+                0 => self.schedule(at, Happening::Die(worker)),
+                1 => self.schedule(at, Happening::Leave(worker)),
+                2 => {
+                    let until = at + self.micros(1, 10_000_000);
+                    self.schedule(at, Happening::Stall(worker, until));
                 }
-            }
-            for _ in 0..self.below(3) {
-                let at = self.now + self.micros(1, 20_000);
-                self.schedule(at, Happening::Join);
+                3 => self.schedule(at, Happening::Stall(worker, Duration::MAX)),
+                _ => {}
             }
         }
-        self.holders.clear();
-        self.began_with = self.coordinator.holders().count() as u32;
-        self.coordinator.begin(job, self.now).expect("a job in range");
-        self.finish(job)
+        for _ in 0..self.below(3) {
+            let at = self.now + self.micros(1, 20_000);
+            self.schedule(at, Happening::Join);
+        }
     }
 
-    fn finish(&mut self, job: &FrameJob) -> Result<Outcome, FrameStatus> {
-        self.run_until(|c| c.status() != FrameStatus::Pending);
-        match self.coordinator.status() {
+    /// One frame, with a few disasters on the way if the world is rough.
+    fn render(&mut self, job: &FrameJob) -> Result<Outcome, FrameStatus> {
+        self.disasters();
+        self.began_with = self.coordinator.holders().count() as u32;
+        let frame = self.coordinator.begin(job, self.now).expect("a job in range");
+        self.finish(frame, job)
+    }
+
+    fn finish(&mut self, frame: FrameId, job: &FrameJob) -> Result<Outcome, FrameStatus> {
+        self.run_until(|c| c.status(frame) != FrameStatus::Pending);
+        match self.coordinator.status(frame) {
             FrameStatus::Done => {
-                let outcome = self.coordinator.finish(self.now).expect("done");
+                let outcome = self.coordinator.finish(frame, self.now).expect("done");
                 self.took_part_late += outcome.workers.len() as u32 - self.began_with;
                 self.carry_out();
                 assert_eq!(outcome.image.format(), job.format);
@@ -520,7 +539,12 @@ impl World {
     fn happen(&mut self, happening: Happening) {
         let now = self.now;
         match happening {
-            Happening::ToMaster(worker, message) => self.coordinator.message(worker, message, now),
+            Happening::ToMaster(worker, message) => {
+                if let ToMaster::Cancelled { tiles, .. } = message {
+                    self.cancelled += tiles;
+                }
+                self.coordinator.message(worker, message, now);
+            }
             Happening::Tile(worker, frame, entry, pixels) => {
                 let bytes = pixels.len() as u64;
                 self.coordinator.tile(worker, frame, &entry, &pixels, bytes, now);
@@ -554,11 +578,11 @@ impl World {
                         let at = state.stalled_until;
                         self.schedule(at, Happening::Rendered(worker, number, tile));
                     }
-                } else if state.in_hand.remove(&number) {
+                } else if state.in_hand.remove(&number).is_some() {
                     self.session(worker, |s| s.rendered(*tile));
                 }
             }
-            Happening::Stopped(worker) => self.session(worker, Session::rendering_stopped),
+            Happening::Stopped(worker, tile) => self.session(worker, |s| s.rendering_stopped(tile)),
             Happening::Stall(worker, until) => {
                 self.workers[worker.0 as usize].stalled_until = until;
                 if until == Duration::MAX {
@@ -602,8 +626,8 @@ impl World {
     fn master_wants(&mut self, output: Output) {
         match output {
             Output::Send(worker, message) => {
-                if let ToWorker::Assign { tiles, .. } = &message {
-                    self.check_holders(worker, tiles);
+                if let ToWorker::Assign { frame, tiles, .. } = &message {
+                    self.check_holders(worker, *frame, tiles);
                 }
                 let at = self.arrival(worker, 0);
                 self.schedule(at, Happening::ToWorker(worker, message));
@@ -629,9 +653,9 @@ impl World {
     }
 
     /// A tile is with two living workers at most.
-    fn check_holders(&mut self, worker: WorkerId, tiles: &[TileId]) {
+    fn check_holders(&mut self, worker: WorkerId, frame: FrameId, tiles: &[TileId]) {
         for &tile in tiles {
-            let holders = self.holders.entry(tile).or_default();
+            let holders = self.holders.entry((frame, tile)).or_default();
             holders.push(worker);
             let mut living: Vec<_> =
                 holders.iter().filter(|w| self.coordinator.name(**w).is_some()).collect();
@@ -654,22 +678,23 @@ impl World {
             Action::Render(task) => {
                 let time = self.micros(10, 1000) * 100;
                 let state = &mut self.workers[worker.0 as usize];
-                let time = time / state.speed as u32;
+                let time = time / state.speed as u32 * self.slowness;
                 state.begun += 1;
-                state.in_hand.insert(state.begun);
+                state.in_hand.insert(state.begun, task.name());
                 self.most_in_hand = self.most_in_hand.max(state.in_hand.len());
                 let rendered = Happening::Rendered(worker, state.begun, Box::new(render(task, time)));
                 self.schedule(self.now + time, rendered);
             }
-            Action::StopRendering => {
-                for number in self.workers[worker.0 as usize].in_hand.clone() {
+            Action::StopRendering(tiles) => {
+                for (number, tile) in self.workers[worker.0 as usize].in_hand.clone() {
                     let at = self.now + self.micros(1, 300);
                     // Half of them are finished before they see that they are not wanted any more.
                     let is_quicker = self.below(2) == 0;
                     let state = &mut self.workers[worker.0 as usize];
-                    if is_quicker && state.stalled_until <= at {
+                    if tiles.contains(&tile) && is_quicker && state.stalled_until <= at {
                         state.in_hand.remove(&number);
-                        self.schedule(at, Happening::Stopped(worker));
+                        self.stopped += 1;
+                        self.schedule(at, Happening::Stopped(worker, tile));
                     }
                 }
             }
@@ -752,7 +777,7 @@ impl World {
 }
 
 fn render(task: RenderTask, time: Duration) -> RenderedTile {
-    let pixels = pixels(task.rect, task.frame.format);
+    let pixels = pixels(task.rect, task.frame.format, task.frame.seed);
     let rays = Rays { primary: u64::from(task.rect.width) * u64::from(task.rect.height), ..Rays::default() };
     RenderedTile::new(task, pixels, time, rays)
 }

@@ -1,5 +1,7 @@
 //! Workers that have joined, and what they are asked for.
 
+mod sequence;
+
 use crate::{
     FrameJob, FrameResult, Link, OutputError, PngStream, Progress, Timings, Traffic,
     admission::{Admission, Admitted},
@@ -23,7 +25,7 @@ use std::{
 use tessera_pack::Pack;
 use tessera_trust::Identity;
 use tessera_wire::{
-    AbortCode, Fingerprint, JoinString, LocalTicket, PackId, Refusal, ToMaster, WorkerId, limits,
+    AbortCode, Fingerprint, FrameId, JoinString, LocalTicket, PackId, Refusal, ToMaster, WorkerId, limits,
 };
 use tokio::{
     process::{Child, ChildStdin},
@@ -31,6 +33,8 @@ use tokio::{
     task::JoinSet,
     time::{Instant, timeout, timeout_at},
 };
+
+pub use sequence::{FrameQueue, SequenceConfig, SequenceFrame, Stale};
 
 /// Where workers come from.
 pub enum Workers {
@@ -212,9 +216,11 @@ impl Cluster {
         }
     }
 
-    /// Ends the frame whose rendering was dropped, if there is one.
+    /// Ends the frames whose rendering was dropped, if there are any.
     pub fn give_up(&mut self, mut progress: impl FnMut(Progress<'_>)) {
-        self.coordinator.finish(self.now());
+        for frame in self.coordinator.begun().collect::<Vec<_>>() {
+            self.coordinator.finish(frame, self.now());
+        }
         for event in self.carry_out() {
             self.report(event, &mut progress);
         }
@@ -274,8 +280,8 @@ impl Cluster {
         let pack = self.pack.ok_or(RenderError::NoPack)?;
         self.measure_links();
         let job = &self.coded(job);
-        self.coordinator.begin(job, self.now())?;
-        let outcome = self.run(job, None, &mut progress).await?;
+        let frame = self.coordinator.begin(job, self.now())?;
+        let outcome = self.run(frame, job, None, &mut progress).await?;
         Ok(self.result(pack, outcome))
     }
 
@@ -291,8 +297,8 @@ impl Cluster {
         let pack = self.pack.ok_or(RenderError::NoPack)?;
         self.measure_links();
         let job = &self.coded(job);
-        self.coordinator.begin_rows(job, self.now())?;
-        let outcome = self.run(job, Some(stream), &mut progress).await?;
+        let frame = self.coordinator.begin_rows(job, self.now())?;
+        let outcome = self.run(frame, job, Some(stream), &mut progress).await?;
         let (result, rest) = self.result(pack, outcome).with_image(());
         stream.push(rest.into_rows()).await?;
         Ok(result)
@@ -313,6 +319,7 @@ impl Cluster {
     /// Sees the frame that has begun to its end.
     async fn run(
         &mut self,
+        frame: FrameId,
         job: &FrameJob,
         mut stream: Option<&mut PngStream>,
         progress: &mut impl FnMut(Progress<'_>),
@@ -321,7 +328,7 @@ impl Cluster {
         loop {
             for event in self.carry_out() {
                 let written = match (event, &mut stream) {
-                    (Event::Rows(rows), Some(stream)) => stream.push(rows).await,
+                    (Event::Rows(_, rows), Some(stream)) => stream.push(rows).await,
                     (event @ Event::Restarted { .. }, Some(stream)) => {
                         self.report(event, progress);
                         stream.restart()
@@ -332,22 +339,22 @@ impl Cluster {
                     }
                 };
                 if let Err(error) = written {
-                    self.coordinator.finish(self.now());
+                    self.coordinator.finish(frame, self.now());
                     return Err(error.into());
                 }
             }
-            match self.coordinator.status() {
+            match self.coordinator.status(frame) {
                 FrameStatus::Pending => self.wait().await,
                 FrameStatus::NoRoom(no_room) => {
-                    self.coordinator.finish(self.now());
+                    self.coordinator.finish(frame, self.now());
                     return Err(BeginError::NoRoom(no_room).into());
                 }
                 FrameStatus::Failed { done, total } => {
-                    self.coordinator.finish(self.now());
+                    self.coordinator.finish(frame, self.now());
                     return Err(RenderError::AllLost { done, total, last: self.last_lost.clone() });
                 }
                 FrameStatus::Done => {
-                    if let Some(outcome) = self.coordinator.finish(self.now()) {
+                    if let Some(outcome) = self.coordinator.finish(frame, self.now()) {
                         self.carry_out();
                         return Ok(outcome);
                     }
@@ -591,7 +598,7 @@ impl Cluster {
 
     fn report(&mut self, event: Event, progress: &mut impl FnMut(Progress<'_>)) {
         match event {
-            Event::Tile { done, total } => progress(Progress::Tiles { done, total }),
+            Event::Tile { done, total, .. } => progress(Progress::Tiles { done, total }),
             Event::Lost(worker, reason) => {
                 let name = self.describe(worker);
                 progress(Progress::WorkerLost { name: &name, reason: &reason });
@@ -609,10 +616,10 @@ impl Cluster {
             Event::ClassChosen { class, workers, idle } => {
                 progress(Progress::ClassChosen { class: &class, workers, idle });
             }
-            Event::Restarted { from, to, dropped } => {
+            Event::Restarted { from, to, dropped, .. } => {
                 progress(Progress::Restarted { from: &from, to: &to, dropped });
             }
-            Event::PackHeld(_) | Event::Rows(_) => {}
+            Event::PackHeld(_) | Event::Rows(..) => {}
         }
     }
 

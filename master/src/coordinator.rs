@@ -1,13 +1,14 @@
-//! All workers and the current frame together. Pure: what came in and `now` go in, [`Output`]s come out.
+//! All workers and the frames that they render together. Pure: what came in and `now` go in, [`Output`]s come out.
 //!
 //! A whole cluster runs in one thread under a virtual clock this way; `Cluster` is the same thing with
 //! sockets.
 
 mod active;
+mod crew;
 
 use crate::{
     ClassDifference, ClassPart, FrameBuffer, FrameJob, TileRecord, Timings, WorkerReport,
-    dispatch::{Assignment, Knowledge, fastest, tile_side},
+    dispatch::{Assignment, Knowledge},
     image::NoRoom,
     session::{Session, Step},
 };
@@ -17,7 +18,7 @@ use std::{
     time::Duration,
 };
 use tessera_wire::{
-    AbortCode, Coding, FrameError, FrameId, PackId, PackRefusal, Rays, Refusal, TileEntry, ToMaster,
+    AbortCode, Coding, FrameError, FrameId, PackId, PackRefusal, Rays, Refusal, TileEntry, TileId, ToMaster,
     ToWorker, WorkerId, limits,
 };
 
@@ -54,8 +55,10 @@ pub enum Event {
         /// Workers of others, which have no part.
         idle: u32,
     },
-    /// The last worker of the frame's class was lost, and another class begins it again.
+    /// The last worker of a frame's class was lost, and another class begins it again.
     Restarted {
+        /// The frame.
+        frame: FrameId,
         /// The class before.
         from: String,
         /// The class now.
@@ -65,9 +68,11 @@ pub enum Event {
     },
     /// The next rows of the image from the top are complete, in a frame that [`Coordinator::begin_rows`] has begun: whole rows without
     /// padding. After [`Event::Restarted`] they begin at the top again.
-    Rows(Vec<u8>),
+    Rows(FrameId, Vec<u8>),
     /// Another tile is in the image.
     Tile {
+        /// Of this frame.
+        frame: FrameId,
         /// So far.
         done: u32,
         /// Of the frame.
@@ -75,10 +80,10 @@ pub enum Event {
     },
 }
 
-/// How the current frame stands.
+/// How a frame stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameStatus {
-    /// No frame, or not complete.
+    /// No such frame, or not complete.
     Pending,
     /// Every tile is in, and what classes of a mix are compared by.
     Done,
@@ -102,6 +107,18 @@ pub enum BeginError {
     /// Its image does not fit this machine.
     #[error(transparent)]
     NoRoom(#[from] NoRoom),
+    /// Its workers have begun as many others as they may; it can be begun when one of these is finished.
+    #[error("the workers have begun as many frames as they may")]
+    Full,
+}
+
+/// Workers that render frames of their own: of those that a frame may have, each `count`th in the order of joining.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Group {
+    /// Counted from 0; what is `count` or more counts on from 0 again.
+    pub index: u32,
+    /// Groups, at least one.
+    pub count: u32,
 }
 
 /// A complete frame; what the driver adds to it becomes a [`crate::FrameResult`].
@@ -127,8 +144,9 @@ pub struct Outcome {
     pub coding: Coding,
     /// Every result; `worker` counts in `workers`.
     pub tiles: Vec<TileRecord>,
-    /// Side of its tiles, and how many there are.
+    /// Side of its tiles.
     pub tile: u32,
+    /// How many there are.
     pub count: u32,
     /// Why it was balanced as it was, for `auto`.
     pub why: Option<String>,
@@ -144,7 +162,8 @@ pub struct Coordinator {
     next: u32,
     /// On offer to all.
     pack: Option<Offer>,
-    frame: Option<Active>,
+    /// In the order of their numbers at the workers, which is that in which these render them.
+    frames: Vec<Active>,
     /// What frames before have used up of the time that workers may be silent (see [`Dispatch::worn`]).
     worn: BTreeMap<WorkerId, f64>,
     frames_begun: u64,
@@ -167,6 +186,9 @@ struct Offer {
 }
 
 impl Coordinator {
+    /// Frames that a worker has begun when it is given no more new ones: what others leave behind finds room with it.
+    pub const FRAMES: usize = limits::FRAMES - 2;
+
     /// No workers yet. `numeric_class`: what all must have; `None` takes workers of any class, of which one renders each frame unless
     /// its job says otherwise.
     pub fn new(numeric_class: Option<String>) -> Self {
@@ -197,7 +219,7 @@ impl Coordinator {
 
     /// When [`Coordinator::tick`] has to be called at the latest.
     pub fn deadline(&self) -> Option<Duration> {
-        let frame = self.frame.iter().filter_map(Active::deadline);
+        let frame = self.frames.iter().filter_map(Active::deadline);
         let load = self.pack.filter(|_| self.is_loading()).and_then(|offer| offer.until);
         self.sessions.values().filter_map(Session::deadline).chain(frame).chain(load).min()
     }
@@ -205,6 +227,11 @@ impl Coordinator {
     /// The name of a worker that has joined and is not gone.
     pub fn name(&self, worker: WorkerId) -> Option<&str> {
         self.sessions.get(&worker)?.name()
+    }
+
+    /// The numeric class of a worker that has joined and neither left nor is lost.
+    pub fn class_of(&self, worker: WorkerId) -> Option<&str> {
+        Some(&self.sessions.get(&worker)?.abilities()?.numeric_class)
     }
 
     /// Workers that have joined and neither left nor are lost.
@@ -264,26 +291,32 @@ impl Coordinator {
             // Gone, perhaps for good reason; its tiles are with others.
             return;
         }
-        let Some(active) = self.frame.as_mut().filter(|active| active.frame.frame == frame) else {
-            return self.out_of_frame(worker, frame, now);
-        };
+        let Some(at) = self.numbered(frame) else { return self.out_of_frame(worker, frame, now) };
+        self.heard(worker);
+        let active = &mut self.frames[at];
         if let Some((bytes, time)) = active.came(worker, wire_bytes, now) {
             self.known.transfer(bytes, time);
         }
         match active.tile(worker, entry, pixels, wire_bytes, now) {
             Ok(true) => {
+                let id = active.id;
                 while let Some(rows) = active.due_rows() {
-                    self.outputs.push_back(Output::Event(Event::Rows(rows)));
+                    self.outputs.push_back(Output::Event(Event::Rows(id, rows)));
                 }
+                let others = active.dispatch.other_holders(entry.tile, worker);
                 let (done, total) = (active.dispatch.done(), active.dispatch.total());
-                self.outputs.push_back(Output::Event(Event::Tile { done, total }));
+                self.outputs.push_back(Output::Event(Event::Tile { frame: id, done, total }));
+                self.cancel(at, others.into_iter().map(|other| (other, vec![entry.tile])));
                 if done == total {
-                    let comparisons = active.compare_classes(now);
-                    self.assign(comparisons);
+                    let comparisons = self.frames[at].compare_classes(now);
+                    self.assign(at, comparisons);
                 }
             }
             Ok(false) => {}
-            Err(detail) => self.abort(worker, AbortCode::BadTiles, detail, now),
+            Err(detail) => return self.abort(worker, AbortCode::BadTiles, detail, now),
+        }
+        if self.frames[at].is_settled() {
+            self.judge(now);
         }
     }
 
@@ -316,18 +349,23 @@ impl Coordinator {
             offer.is_settled |= offer.until.is_some_and(|until| until <= now);
         }
         let is_awaited = self.is_awaited();
-        let Some(active) = &mut self.frame else { return };
-        active.tick(now);
-        if active.alone.is_some_and(|until| until <= now) && !active.given_up {
-            // A worker that takes the pack, or says that it does not, has a deadline of its own.
-            active.given_up = !is_awaited;
-            active.alone = Some(now + self.patience);
+        let (mut owing, mut stalled) = (Vec::new(), Vec::new());
+        for at in 0..self.frames.len() {
+            let active = &mut self.frames[at];
+            active.tick(now);
+            if active.alone.is_some_and(|until| until <= now) && !active.given_up {
+                // A worker that takes the pack, or says that it does not, has a deadline of its own.
+                active.given_up = !is_awaited;
+                active.alone = Some(now + self.patience);
+            }
+            if active.is_judged {
+                owing.extend(active.due().filter(|&(_, due)| due <= now).map(|(worker, _)| worker));
+                stalled.extend(active.dispatch.stalled(now));
+                let assignments = active.dispatch.tick(now);
+                self.assign(at, assignments);
+            }
         }
-        let owing = active.due().filter(|&(_, due)| due <= now).map(|(worker, _)| worker);
-        let owing: Vec<_> = owing.collect();
-        let stalled: Vec<_> = active.dispatch.stalled(now).collect();
-        let assignments = active.dispatch.tick(now);
-        self.assign(assignments);
+        self.judge(now);
         for worker in owing {
             let detail = "the pixels of rendered tiles did not come in time";
             self.abort(worker, AbortCode::Timeout, detail.into(), now);
@@ -350,114 +388,37 @@ impl Coordinator {
     /// classes if the job may mix them; those of them that hold it later take part from then on. When the last of the class is lost,
     /// another class begins the frame again.
     ///
+    /// Others that have begun go on, and their tiles are rendered first.
+    ///
     /// # Errors
-    /// The job is out of range, or its image too large for this machine. Without a loaded pack or holders the frame begins, and fails
-    /// unless a worker comes in time.
+    /// The job is out of range, or its image too large for this machine, or too many others have begun. Without a loaded pack or holders the
+    /// frame begins, and fails unless a worker comes in time.
     pub fn begin(&mut self, job: &FrameJob, now: Duration) -> Result<FrameId, BeginError> {
-        self.begin_as(job, false, now)
+        self.begin_as(job, None, false, now)
     }
 
-    /// The same, but rows are given out by [`Event::Rows`] as soon as they and all above them are complete, and are held no longer. A
-    /// frame that may mix classes is held whole nevertheless: its tiles are looked at again when classes are compared.
+    /// The same with the workers of `group` alone, or with all while there is none in it. When the last of them is lost, the others of the
+    /// class go on with the frame.
+    ///
+    /// # Errors
+    /// Those of [`Coordinator::begin`].
+    pub fn begin_in(&mut self, job: &FrameJob, group: Group, now: Duration) -> Result<FrameId, BeginError> {
+        self.begin_as(job, Some(group), false, now)
+    }
+
+    /// The same as [`Coordinator::begin`], but rows are given out by [`Event::Rows`] as soon as they and all above them are complete, and
+    /// are held no longer. A frame that may mix classes is held whole nevertheless: its tiles are looked at again when classes are
+    /// compared.
     ///
     /// # Errors
     /// Those of [`Coordinator::begin`].
     pub fn begin_rows(&mut self, job: &FrameJob, now: Duration) -> Result<FrameId, BeginError> {
-        self.begin_as(job, !job.mix, now)
+        self.begin_as(job, None, !job.mix, now)
     }
 
-    fn begin_as(&mut self, job: &FrameJob, gives_rows: bool, now: Duration) -> Result<FrameId, BeginError> {
-        let id = FrameId(self.frames_begun + 1);
-        let (holders, mean) = (self.holders().count(), self.known.mean_tile());
-        let side = || tile_side(job.width, job.height, holders, mean);
-        let job = &FrameJob { tile: if job.tile == 0 { side() } else { job.tile }, ..job.clone() };
-        let frame = job.to_wire(id, self.pack.map_or(PackId([0; 32]), |offer| offer.pack));
-        let mut active = Active::new(frame, job, gives_rows, now)?;
-        self.frames_begun += 1;
-        let class = self.fastest_class().filter(|_| !job.mix);
-        let workers = self.crew(class.as_deref());
-        let takes_part = |w: &WorkerId| workers.contains(w) || self.rejection(*w).is_some();
-        active.reports = self.joined().filter(takes_part).map(|w| (w, self.report_of(w))).collect();
-        if workers.is_empty() {
-            active.alone = Some(now + self.patience);
-            active.given_up = self.patience.is_zero();
-        }
-        self.frame = Some(active);
-        if let Some(class) = class.clone().filter(|_| workers.len() < holders) {
-            let (workers, idle) = (workers.len() as u32, (holders - workers.len()) as u32);
-            self.outputs.push_back(Output::Event(Event::ClassChosen { class, workers, idle }));
-        }
-        if !workers.is_empty() {
-            self.assemble(class, workers, now);
-        }
-        Ok(id)
-    }
-
-    /// Gives the current frame to `workers`.
-    fn assemble(&mut self, class: Option<String>, workers: Vec<WorkerId>, now: Duration) {
-        let Some(active) = &mut self.frame else { return };
-        let assignments = active.assemble(class, &workers, &self.known, now);
-        for (&worker, &worn) in &self.worn {
-            active.dispatch.wear(worker, worn);
-        }
-        let frame = active.frame;
-        for worker in workers {
-            self.outputs.push_back(Output::Send(worker, ToWorker::Frame(frame)));
-        }
-        self.assign(assignments);
-    }
-
-    /// Of the classes whose workers hold the pack, the one that is the fastest together.
-    fn fastest_class(&self) -> Option<String> {
-        let abilities = self.holders().filter_map(|worker| self.sessions.get(&worker)?.abilities());
-        fastest(abilities.map(|a| (a.numeric_class.as_str(), a.speed))).map(String::from)
-    }
-
-    /// Workers that hold the pack, of `class` if it is one.
-    fn crew(&self, class: Option<&str>) -> Vec<WorkerId> {
-        let is_of_class = |worker: &WorkerId| class.is_none_or(|class| self.class_of(*worker) == Some(class));
-        self.holders().filter(is_of_class).collect()
-    }
-
-    /// The numeric class of a worker that has joined and neither left nor is lost.
-    pub fn class_of(&self, worker: WorkerId) -> Option<&str> {
-        Some(&self.sessions.get(&worker)?.abilities()?.numeric_class)
-    }
-
-    fn report_of(&self, worker: WorkerId) -> WorkerReport {
-        let abilities = self.sessions.get(&worker).and_then(Session::abilities);
-        WorkerReport::new(self.name(worker).unwrap_or("?"), abilities, self.rejection(worker))
-    }
-
-    /// A frame that has lost the last worker of its class goes to another class, if workers of one hold the pack: from its first tile
-    /// on, so that no picture mixes classes.
-    fn change_class(&mut self, now: Duration) {
-        let Some(active) = &self.frame else { return };
-        let (is_done, workers) = (active.dispatch.is_done(), active.dispatch.workers());
-        if active.job.mix || active.given_up || is_done || workers > 0 {
-            return;
-        }
-        let from = active.class.clone();
-        let Some(to) = self.fastest_class() else { return };
-        let workers = self.crew(Some(&to));
-        let reports: Vec<_> = workers.iter().map(|&worker| (worker, self.report_of(worker))).collect();
-        self.frames_begun += 1;
-        let id = FrameId(self.frames_begun);
-        let Some(active) = &mut self.frame else { return };
-        // Under a number of its own: what the first class still sends is late.
-        active.frame.frame = id;
-        active.reports.extend(reports);
-        let dropped = active.dispatch.done();
-        if let Some(from) = from {
-            let to = to.clone();
-            self.outputs.push_back(Output::Event(Event::Restarted { from, to, dropped }));
-        }
-        self.assemble(Some(to), workers, now);
-    }
-
-    /// How the current frame stands.
-    pub fn status(&self) -> FrameStatus {
-        match &self.frame {
+    /// How a frame stands.
+    pub fn status(&self, frame: FrameId) -> FrameStatus {
+        match self.frames.iter().find(|active| active.id == frame) {
             Some(Active { no_room: Some(no_room), .. }) => FrameStatus::NoRoom(*no_room),
             Some(active) if active.is_over() => FrameStatus::Done,
             Some(active) if active.given_up => {
@@ -467,19 +428,30 @@ impl Coordinator {
         }
     }
 
-    /// Ends the current frame, complete or not; the outcome if it is complete.
-    pub fn finish(&mut self, now: Duration) -> Option<Outcome> {
-        let active = self.frame.take()?;
-        self.worn.extend(active.dispatch.worn(now));
+    /// Frames that have begun and are not finished.
+    pub fn begun(&self) -> impl Iterator<Item = FrameId> {
+        self.frames.iter().map(|active| active.id)
+    }
+
+    /// Ends a frame, complete or not: workers stop what they render of it. The outcome if it is complete.
+    pub fn finish(&mut self, frame: FrameId, now: Duration) -> Option<Outcome> {
+        let place = self.frames.iter().position(|active| active.id == frame)?;
+        let active = self.frames.remove(place);
+        if active.is_judged {
+            self.worn.extend(active.dispatch.worn(now));
+        }
         active.teach(&mut self.known);
-        let frame = active.frame.frame;
-        for &(worker, ref report) in &active.reports {
-            if self.name(worker).is_some() && report.rejected.is_none() {
-                self.outputs.push_back(Output::Send(worker, ToWorker::EndFrame { frame }));
+        let number = active.frame.frame;
+        for &worker in &active.members {
+            if self.name(worker).is_some() {
+                self.outputs.push_back(Output::Send(worker, ToWorker::EndFrame { frame: number }));
             }
         }
-        let holders = self.holders().filter(|worker| active.reports.iter().all(|(w, _)| w != worker));
-        let idle = holders.count() as u32;
+        let idle = self.holders().filter(|&w| self.class_of(w).is_some_and(|class| !active.takes(class)));
+        let idle = idle.count() as u32;
+        // A frame that nobody had room for may go on.
+        self.revive(now);
+        self.judge(now);
         active.outcome(idle)
     }
 
@@ -494,28 +466,41 @@ impl Coordinator {
         self.sessions.keys().copied().collect::<Vec<_>>().into_iter()
     }
 
-    fn assign(&mut self, assignments: Vec<Assignment>) {
-        let Some(active) = &self.frame else { return };
+    fn assign(&mut self, at: usize, assignments: Vec<Assignment>) {
+        let frame = self.frames[at].frame.frame;
         for Assignment { worker, attempt, tiles } in assignments {
-            let assign = ToWorker::Assign { frame: active.frame.frame, attempt, tiles };
+            let assign = ToWorker::Assign { frame, attempt, tiles };
             self.outputs.push_back(Output::Send(worker, assign));
         }
     }
 
-    /// `worker` lives: what it says may be of an earlier frame.
+    /// Takes back tiles that others have rendered.
+    fn cancel(&mut self, at: usize, tiles: impl IntoIterator<Item = (WorkerId, Vec<TileId>)>) {
+        for (worker, tiles) in tiles {
+            let cancel = self.frames[at].cancel(worker, tiles);
+            self.outputs.push_back(Output::Send(worker, cancel));
+        }
+    }
+
+    /// The place of the frame that workers know by this number.
+    fn numbered(&self, frame: FrameId) -> Option<usize> {
+        self.frames.iter().position(|active| active.frame.frame == frame)
+    }
+
+    /// `worker` lives: what it says may be of any frame.
     fn heard(&mut self, worker: WorkerId) {
         self.worn.remove(&worker);
-        if let Some(active) = &mut self.frame {
+        for active in &mut self.frames {
             active.dispatch.wear(worker, 0.0);
         }
     }
 
-    /// A message about a frame that is not the current one: old ones are late, others never were.
+    /// Pixels of a frame that is not under way: old ones are late, others never were.
     fn out_of_frame(&mut self, worker: WorkerId, frame: FrameId, now: Duration) {
         self.heard(worker);
         if frame.0 == 0 || frame.0 > self.frames_begun {
             self.abort(worker, AbortCode::BadTiles, format!("there is no frame {}", frame.0), now);
-        } else if let Some(active) = &mut self.frame {
+        } else if let Some(active) = self.frames.first_mut() {
             active.late += 1;
         }
     }
@@ -542,14 +527,15 @@ impl Coordinator {
                 Step::PackHeld => {
                     self.wait_no_longer(now);
                     self.outputs.push_back(Output::Event(Event::PackHeld(worker)));
-                    self.join_frame(worker, now);
+                    self.join_frames(worker, now);
                 }
                 Step::PackRejected(reason) => {
                     self.outputs.push_back(Output::Event(Event::PackRejected(worker, reason)));
                 }
                 Step::Rendered { frame, tiles } => self.rendered(worker, frame, tiles, now),
+                Step::Cancelled { frame, tiles } => self.cancelled(worker, frame, tiles, now),
                 Step::Leaving => {
-                    if let Some(active) = &mut self.frame {
+                    for active in &mut self.frames {
                         active.dispatch.leave(worker);
                     }
                 }
@@ -565,23 +551,35 @@ impl Coordinator {
     }
 
     fn rendered(&mut self, worker: WorkerId, frame: FrameId, tiles: u32, now: Duration) {
-        let current = self.frame.as_mut().filter(|active| active.frame.frame == frame);
-        let Some(active) = current else {
-            self.heard(worker);
-            if frame.0 == 0 || frame.0 > self.frames_begun {
-                self.abort(worker, AbortCode::Unexpected, format!("there is no frame {}", frame.0), now);
-            }
-            return;
-        };
+        self.heard(worker);
+        let Some(at) = self.said_of(worker, frame, now) else { return };
+        let active = &mut self.frames[at];
         match active.dispatch.rendered(worker, tiles, now) {
             Ok(assignments) => {
                 active.last_rendered = now;
                 active.word(worker, now);
                 active.due.insert(worker, now + limits::RETURN_TIMEOUT);
-                self.assign(assignments);
+                self.assign(at, assignments);
             }
             Err(violation) => self.abort(worker, AbortCode::Unexpected, violation.to_string(), now),
         }
+    }
+
+    fn cancelled(&mut self, worker: WorkerId, frame: FrameId, tiles: u32, now: Duration) {
+        let Some(at) = self.said_of(worker, frame, now) else { return };
+        match self.frames[at].cancelled(worker, tiles, now) {
+            Ok(assignments) => self.assign(at, assignments),
+            Err(detail) => self.abort(worker, AbortCode::Unexpected, detail, now),
+        }
+    }
+
+    /// The place of the frame of which `worker` has said something, if it is under way; one that never was is the worker's fault.
+    fn said_of(&mut self, worker: WorkerId, frame: FrameId, now: Duration) -> Option<usize> {
+        let at = self.numbered(frame);
+        if at.is_none() && (frame.0 == 0 || frame.0 > self.frames_begun) {
+            self.abort(worker, AbortCode::Unexpected, format!("there is no frame {}", frame.0), now);
+        }
+        at
     }
 
     /// Settles until when the others are waited for, once one holds the pack.
@@ -591,48 +589,6 @@ impl Coordinator {
         if let Some(offer) = self.pack.as_mut().filter(|_| !self.patience.is_zero()) {
             let took = now.saturating_sub(offer.begun);
             offer.until.get_or_insert(offer.begun + LEAST.max(2 * took));
-        }
-    }
-
-    /// A worker that has just taken the pack takes part in the frame of it that is under way.
-    fn join_frame(&mut self, worker: WorkerId, now: Duration) {
-        let (class, report) = (self.class_of(worker).map(String::from), self.report_of(worker));
-        let holds = |active: &&mut Active| {
-            let session = self.sessions.get(&worker);
-            session.is_some_and(|s| s.holds(active.frame.pack)) && !active.dispatch.is_done()
-        };
-        let (Some(active), Some(class)) = (self.frame.as_mut().filter(holds), class) else { return };
-        if !active.takes(&class) {
-            // It idles, unless nobody of the frame's own class is left.
-            return self.change_class(now);
-        }
-        if !active.job.mix {
-            active.class = Some(class);
-        }
-        active.reports.push((worker, report));
-        active.alone = None;
-        self.outputs.push_back(Output::Send(worker, ToWorker::Frame(active.frame)));
-        let assignments = active.dispatch.join(worker, now);
-        active.dispatch.wear(worker, self.worn.get(&worker).copied().unwrap_or(0.0));
-        self.assign(assignments);
-    }
-
-    fn rejection(&self, worker: WorkerId) -> Option<&PackRefusal> {
-        self.sessions.get(&worker)?.rejection()
-    }
-
-    fn over(&mut self, worker: WorkerId, reason: String, now: Duration) {
-        self.outputs.push_back(Output::Event(Event::Lost(worker, reason.clone())));
-        let Some(active) = &mut self.frame else { return };
-        let assignments = active.lost(worker, &reason, now);
-        self.assign(assignments);
-        self.change_class(now);
-        if let Some(active) = &mut self.frame
-            && active.dispatch.workers() == 0
-            && active.alone.is_none()
-        {
-            active.alone = Some(now + self.patience);
-            active.given_up = self.patience.is_zero() && !active.dispatch.is_done();
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The service side: preparing a scene, dispatching tiles, assembling the image.
 //!
 //! A render is four calls: [`Cluster::start`] gets workers to join, [`Cluster::load`] gives them a pack, [`Cluster::render`] makes a
-//! frame, [`Cluster::stop`] sends them home. [`Service`] does that for clients, one of which is [`Client`].
+//! frame (or [`Cluster::frames`] many, several at a time), [`Cluster::stop`] sends them home. [`Service`] does that for clients, one of which is [`Client`].
 
 mod admission;
 mod bands;
@@ -32,7 +32,8 @@ mod transport;
 
 pub use client::{Client, ClientError};
 pub use cluster::{
-    Cluster, ClusterConfig, ListenConfig, LoadError, LocalWorkers, RenderError, StartError, Workers,
+    Cluster, ClusterConfig, FrameQueue, ListenConfig, LoadError, LocalWorkers, RenderError, SequenceConfig,
+    SequenceFrame, Stale, StartError, Workers,
 };
 pub use difference::Difference;
 pub use dispatch::Balance;

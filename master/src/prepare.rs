@@ -14,8 +14,8 @@ use tessera_pack::{
     format::{HEADER_LEN, check_header},
 };
 use tessera_scene::{
-    AlphaMode, Camera, FlatMesh, FlatObject, LeftOut, LoadOptions, Scene, SceneError, Selection, TextureRef,
-    Without,
+    AlphaMode, Camera, CameraTrack, FlatMesh, FlatObject, LeftOut, LoadOptions, Scene, SceneError, Selection,
+    TextureRef, Without,
 };
 use tessera_wire::limits;
 
@@ -76,6 +76,8 @@ pub struct Prepared {
     pub pack: Pack,
     /// Named views, at least one; the first is the default.
     pub cameras: Vec<Camera>,
+    /// Cameras among these that move; none of a `.tpack` file.
+    pub camera_tracks: Vec<CameraTrack>,
     /// What was in the source; none for a `.tpack` file.
     pub source: Option<Source>,
     /// What was left out of the pack, and why.
@@ -178,6 +180,7 @@ fn read_bundle(path: &Path, without: Without) -> Result<Prepared, PrepareError> 
     Ok(Prepared {
         name: path.display().to_string(),
         cameras,
+        camera_tracks: Vec::new(),
         source: None,
         left_out: without.rays_left_out(),
         warnings: Vec::new(),
@@ -240,7 +243,7 @@ pub fn prepare_scene_with(
     // A large scene's own vertices are not needed any more; packing wants the memory.
     scene.meshes = Vec::new();
     let input = pack_input(&scene, flat, &selection, &options.without, keeps_unused);
-    let Scene { name, cameras, mut warnings, notes, .. } = scene;
+    let Scene { name, cameras, camera_tracks, mut warnings, notes, .. } = scene;
     let (pack, stats) = build_pack_with(input, &options.pack(), on_stage)
         .map_err(|source| PrepareError::Pack { name: name.clone(), source })?;
     source.dropped.extend_from_slice(&stats.dropped);
@@ -257,7 +260,8 @@ pub fn prepare_scene_with(
     }
     source.stats = stats;
     let timings = PrepareTimings { read, pack: start.elapsed() };
-    Ok(Prepared { name, pack, cameras, source: Some(source), left_out, warnings, notes, timings })
+    let source = Some(source);
+    Ok(Prepared { name, pack, cameras, camera_tracks, source, left_out, warnings, notes, timings })
 }
 
 /// The camera of this name, or the first.

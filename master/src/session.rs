@@ -59,6 +59,13 @@ pub enum Step {
         /// How many.
         tiles: u32,
     },
+    /// Of the tiles that it was told to cancel, it will not render that many.
+    Cancelled {
+        /// Of this frame.
+        frame: FrameId,
+        /// How many.
+        tiles: u32,
+    },
     /// It leaves; what it has rendered may still come.
     Leaving,
     /// The session is over; after what was sent before, the connection is to be closed with this code.
@@ -166,6 +173,7 @@ impl Session {
                 // Pixels may overtake it, and the next pack may be on offer before it comes. The coordinator knows
                 // which frames there were.
                 (_, ToMaster::Rendered { frame, tiles }) => return vec![Step::Rendered { frame, tiles }],
+                (_, ToMaster::Cancelled { frame, tiles }) => return vec![Step::Cancelled { frame, tiles }],
                 (_, ToMaster::Hello(_)) => unexpected("a second `Hello`"),
                 (_, _) => unexpected("an answer about a pack that is not on offer"),
             },

@@ -63,6 +63,12 @@ impl Tessera {
         self
     }
 
+    /// With this file on stdin.
+    pub fn stdin(mut self, file: &Path) -> Self {
+        self.0.stdin(fs::File::open(file).expect("a file"));
+        self
+    }
+
     /// Leading a process group of its own, as a shell starts it.
     #[cfg(unix)]
     pub fn in_own_group(mut self) -> Self {

@@ -311,7 +311,8 @@ const NORMAL_TABLE: u64 = 12 << 16;
 
 impl Info {
     fn new(prepared: Prepared, options: &PrepareOptions, trees: [TreeLine; 3]) -> Self {
-        let Prepared { name, pack, cameras, source, left_out, warnings, notes, timings } = prepared;
+        let Prepared { name, pack, cameras, source, left_out, warnings, notes, timings, camera_tracks: _ } =
+            prepared;
         let bytes_of = |sections: &[Section]| sections.iter().map(|&s| pack.section_bytes(s)).sum::<u64>();
         let (nv, nf) = (u64::from(pack.vertex_count()), u64::from(pack.triangle_count()));
         let mesh = pack.mesh();

@@ -21,6 +21,7 @@ mod progress;
 mod reference;
 mod render;
 mod run;
+mod sequence;
 mod why;
 mod worker;
 

@@ -5,6 +5,7 @@ use super::args::{Size, Triple, coded_error, field_of_view, weight};
 use super::backend::BackendArgs;
 use super::progress::Progress;
 use super::run::{Crew, LocalCrew, Session, Written, prepare_scene};
+use super::sequence::{self, SequenceArgs};
 use super::{CommandError, PackingArgs, SceneArgs};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -30,7 +31,9 @@ use tessera_wire::{Adaptive, Coding, Features, FrameError, Sampler, Sampling, Ti
         \x20 tessera render scenes/sponza.toml --out sponza.png --master @join.txt\n\
         \x20 tessera render room.glb --out room.exr --eye -120,20,0 --target 0,45,-5 --fov 70\n\
         \x20 tessera render room.glb --out room.png --sampler low-discrepancy --adaptive 0.004 --spp 1024\n\
-        \x20 tessera render room.glb --out flat.png --without textures,shadows --report report.json"
+        \x20 tessera render room.glb --out flat.png --without textures,shadows --report report.json\n\
+        \x20 tessera render walk.glb --out 'frame-%04d.png' --frames 120 --workers 4 --groups 2\n\
+        \x20 tessera render room.glb --out 'frame-%d.png' --poses - --newest < poses.jsonl"
 )]
 pub struct RenderArgs {
     #[command(flatten)]
@@ -54,6 +57,8 @@ pub struct RenderArgs {
     /// that the error is seen to fall; the last picture is the one that is written.
     #[arg(long, value_name = "FILE|plain|spp:N|oracle[:N]")]
     error_against: Option<Against>,
+    #[command(flatten)]
+    sequence: SequenceArgs,
     #[command(flatten)]
     frame: FrameArgs,
 }
@@ -153,7 +158,7 @@ pub struct FrameArgs {
     report: Option<PathBuf>,
     /// Print the report as one JSON object on stdout, and nothing else
     #[arg(long)]
-    json: bool,
+    pub json: bool,
 }
 
 /// What `--coding` takes.
@@ -183,17 +188,28 @@ enum Bits {
 }
 
 pub fn run(args: RenderArgs, progress: &Progress) -> Result<(), CommandError> {
-    let RenderArgs { scene, out, workers, master, error_against, frame } = args;
+    let RenderArgs { scene, out, workers, master, error_against, sequence, frame } = args;
+    let is_sequence = sequence.is_asked_for();
+    if is_sequence && (error_against.is_some() || frame.report.is_some()) {
+        return Err(CommandError::Usage(
+            "--report and --error-against are of one picture; leave them out of a sequence, or --frames, --path and --poses".into(),
+        ));
+    }
+    // Names that the pattern has no place for are found out before the scene is read.
+    let first = if is_sequence { sequence.first_file(&out)? } else { out.clone() };
     let crew = match master {
         Some(join) => Crew::Master(super::join::parse(&join, "--master")?),
         None => Crew::Local(frame.local_crew(workers)),
     };
-    let mut plan = Plan::check(&out, Some(&scene.scene), crew, &frame, &scene.packing)?;
+    let mut plan = Plan::check(&first, Some(&scene.scene), crew, &frame, &scene.packing)?;
     if let Some(against) = &error_against {
         plan.compare_with(against, &scene)?;
     }
     let plan = plan.with_backend(progress)?;
     let prepared = prepare_scene(&scene.scene, &scene.packing, progress)?;
+    if is_sequence {
+        return sequence::render(&sequence, &out, &plan, &frame, &prepared, progress);
+    }
     plan.render(&prepared, progress)
 }
 
@@ -268,26 +284,7 @@ impl<'a> Plan<'a> {
     pub fn render(mut self, prepared: &Prepared, progress: &Progress) -> Result<(), CommandError> {
         let args = self.args;
         let (name, pose) = args.pose(prepared)?;
-        let Size { width, height } = args.size;
-        let frame = prepared.pack.frame();
-        let camera = pose
-            .to_local(&frame, width, height)
-            .map_err(|e| CommandError::Usage(format!("the camera cannot be used: {e}")))?;
-        let job = FrameJob {
-            camera,
-            width,
-            height,
-            tile: args.tile,
-            samples: args.spp,
-            sampling: args.sampling(),
-            depth: args.depth,
-            seed: 0,
-            features: self.features,
-            format: self.format,
-            balance: args.balance,
-            mix: args.mix,
-            coding: args.coding.0,
-        };
+        let job = self.job(&pose, prepared)?;
         let mut session = Session::open(&prepared.pack, &self.crew, progress)?;
         let frame = match self.against.take() {
             None => self.render_to_file(&mut session, &job).map(|frame| (frame, None)),
@@ -323,6 +320,35 @@ impl<'a> Plan<'a> {
             file.write(|to| serde_json::to_writer_pretty(to, &report)).map_err(CommandError::failed)?;
         }
         if args.json { super::print_json(&report) } else { super::print_text(&report.text()) }
+    }
+
+    /// Who renders.
+    pub fn crew(&self) -> &Crew {
+        &self.crew
+    }
+
+    /// What workers are asked for, for a view of the scene.
+    pub fn job(&self, pose: &CameraPose, prepared: &Prepared) -> Result<FrameJob, CommandError> {
+        let args = self.args;
+        let Size { width, height } = args.size;
+        let camera = pose
+            .to_local(&prepared.pack.frame(), width, height)
+            .map_err(|e| CommandError::Usage(format!("the camera cannot be used: {e}")))?;
+        Ok(FrameJob {
+            camera,
+            width,
+            height,
+            tile: args.tile,
+            samples: args.spp,
+            sampling: args.sampling(),
+            depth: args.depth,
+            seed: 0,
+            features: self.features,
+            format: self.format,
+            balance: args.balance,
+            mix: args.mix,
+            coding: args.coding.0,
+        })
     }
 
     /// PNG files take rows as they become complete, EXR files the whole image.
@@ -365,7 +391,7 @@ impl FrameArgs {
     }
 
     /// The view that was asked for, and its name in the scene if it has one.
-    fn pose(&self, prepared: &Prepared) -> Result<(Option<String>, CameraPose), CommandError> {
+    pub fn pose(&self, prepared: &Prepared) -> Result<(Option<String>, CameraPose), CommandError> {
         if let (Some(eye), Some(target), Some(fov_degrees)) = (self.eye, self.target, self.fov) {
             let up = self.up.unwrap_or(Triple([0.0, 1.0, 0.0]));
             let vector = |t: Triple| DVec3::from_array(t.0);

@@ -1,4 +1,6 @@
-//! Preparing a scene and rendering one frame of it, for every command that does.
+//! Preparing a scene and rendering frames of it, for every command that does.
+
+mod sequence;
 
 use super::backend::{BackendArgs, BackendFlag};
 use super::progress::{Bar, Progress};
@@ -15,6 +17,8 @@ use tessera_scene::{LoadOptions, Without};
 use tessera_trust::Identity;
 use tessera_wire::JoinString;
 use tessera_worker::{Backend, Closer, Connected, WorkerConfig, WorkerPipes};
+
+pub use sequence::{Asked, Rendered, Source};
 
 impl PackingArgs {
     /// What the library is to do.

@@ -1,6 +1,6 @@
-//! The frame that is being rendered.
+//! A frame that is being rendered.
 
-use super::{BeginError, Outcome};
+use super::{BeginError, Group, Outcome};
 use crate::{
     ClassDifference, ClassPart, FrameJob, TileRecord, Timings, WorkerReport,
     bands::{Canvas, Fault},
@@ -9,15 +9,25 @@ use crate::{
 };
 use std::{
     cmp::Reverse,
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, VecDeque},
     time::Duration,
 };
-use tessera_wire::{Abilities, Frame, PackRefusal, Rays, TileEntry, TileGrid, TileId, WorkerId, limits};
+use tessera_wire::{
+    Abilities, Frame, FrameId, PackRefusal, Rays, TileEntry, TileGrid, TileId, ToWorker, WorkerId, limits,
+};
 
 #[derive(Debug)]
 pub(super) struct Active {
+    /// What the driver names it by. The number that workers know, `frame.frame`, is another one after it has changed hands.
+    pub(super) id: FrameId,
     pub(super) frame: Frame,
     pub(super) job: FrameJob,
+    /// Who is to render it; `None`: all of its class.
+    pub(super) group: Option<Group>,
+    /// Living workers that it was announced to.
+    pub(super) members: BTreeSet<WorkerId>,
+    /// Whether none of these has an earlier frame to render first, so that who is silent is late with this one.
+    pub(super) is_judged: bool,
     /// The numeric class that renders it; `None` for a mix, and while nobody has a part.
     pub(super) class: Option<String>,
     pub(super) dispatch: Dispatch,
@@ -41,8 +51,12 @@ pub(super) struct Active {
     words: BTreeMap<WorkerId, (Duration, u64)>,
     /// From whom each tile of the image is, for a mix.
     origins: BTreeMap<TileId, WorkerId>,
+    /// How many tiles each `Cancel` had that has not been answered.
+    cancelling: BTreeMap<WorkerId, VecDeque<u32>>,
     checks: Option<Checks>,
     begun: Duration,
+    /// Since when its workers have no earlier frame to render.
+    first_since: Duration,
     /// When the last tile of the image came, and when it was said to be rendered.
     completed: Option<(Duration, Duration)>,
 }
@@ -60,8 +74,12 @@ impl Active {
             if gives_rows { Canvas::bands(grid, job.format) } else { Canvas::whole(&grid, job.format)? };
         let (dispatch, _) = Dispatch::start(&grid, job.balance, job.samples, &[], now);
         Ok(Self {
+            id: frame.frame,
             frame,
             job: job.clone(),
+            group: None,
+            members: BTreeSet::new(),
+            is_judged: false,
             class: None,
             dispatch,
             reports: Vec::new(),
@@ -78,8 +96,10 @@ impl Active {
             crew: Vec::new(),
             words: BTreeMap::new(),
             origins: BTreeMap::new(),
+            cancelling: BTreeMap::new(),
             checks: None,
             begun: now,
+            first_since: now,
             completed: None,
         })
     }
@@ -103,6 +123,8 @@ impl Active {
         self.tiles.clear();
         self.words.clear();
         self.due.clear();
+        self.cancelling.clear();
+        self.members = workers.iter().copied().collect();
         self.class = class;
         let in_order = self.image.may_wait().is_some() && self.job.image_bytes() > Self::IN_ORDER_BYTES;
         let camera = &self.frame.camera;
@@ -130,7 +152,7 @@ impl Active {
             grid: &self.grid,
             shown: &shown,
             crew: &self.crew,
-            took: completed.saturating_sub(self.begun),
+            took: completed.saturating_sub(self.begun.max(self.first_since)),
             wire_bytes: self.tiles.iter().map(|tile| tile.wire_bytes).sum(),
             way: self.dispatch.plan().way(),
         });
@@ -147,6 +169,52 @@ impl Active {
     /// Whether everything is in, comparisons of classes too.
     pub(super) fn is_over(&self) -> bool {
         self.dispatch.is_done() && self.checks.as_ref().is_none_or(Checks::is_over)
+    }
+
+    /// Whether nothing that workers do changes it any more.
+    pub(super) fn is_settled(&self) -> bool {
+        self.is_over() || self.given_up || self.no_room.is_some()
+    }
+
+    /// Whether it waits for anybody to render it.
+    pub(super) fn is_orphan(&self) -> bool {
+        self.dispatch.workers() == 0 && !self.dispatch.is_done() && !self.given_up
+    }
+
+    /// Its workers have no earlier frame any more: from `now` on they may be late with this one. `worn`: see [`Dispatch::worn`].
+    pub(super) fn judge(&mut self, worn: &BTreeMap<WorkerId, f64>, now: Duration) {
+        self.is_judged = true;
+        self.first_since = now;
+        self.dispatch.restart_clocks(now);
+        for (&worker, &worn) in worn {
+            self.dispatch.wear(worker, worn);
+        }
+        for due in self.due.values_mut() {
+            *due = now + limits::RETURN_TIMEOUT;
+        }
+    }
+
+    /// What takes back `tiles` of `worker`, which others have rendered.
+    pub(super) fn cancel(&mut self, worker: WorkerId, tiles: Vec<TileId>) -> ToWorker {
+        self.cancelling.entry(worker).or_default().push_back(tiles.len() as u32);
+        ToWorker::Cancel { frame: self.frame.frame, tiles }
+    }
+
+    /// `worker` will not render so many of the tiles that it was told of first; what it gets next.
+    pub(super) fn cancelled(
+        &mut self,
+        worker: WorkerId,
+        tiles: u32,
+        now: Duration,
+    ) -> Result<Vec<Assignment>, String> {
+        let asked = self.cancelling.get_mut(&worker).and_then(VecDeque::pop_front);
+        match asked {
+            Some(asked) if tiles <= asked => {}
+            Some(asked) => return Err(format!("{tiles} of {asked} tiles said to be cancelled")),
+            None => return Err("tiles said to be cancelled that were not".into()),
+        }
+        self.due.entry(worker).or_insert(now + limits::RETURN_TIMEOUT);
+        self.dispatch.cancelled(worker, tiles, now).map_err(|violation| violation.to_string())
     }
 
     /// Puts a tile into the image: whether it was the first for its place, or what is wrong with it.
@@ -297,16 +365,18 @@ impl Active {
         if let Some(checks) = &mut self.checks {
             checks.lost(worker);
         }
+        self.members.remove(&worker);
+        self.cancelling.remove(&worker);
         self.dispatch.lost(worker, now)
     }
 
     pub(super) fn deadline(&self) -> Option<Duration> {
-        if self.is_over() || self.given_up || self.no_room.is_some() {
+        if self.is_settled() {
             return None;
         }
         let checks = self.checks.iter().filter_map(Checks::deadline);
-        let returns = self.due().map(|(_, due)| due);
-        returns.chain(self.dispatch.deadline()).chain(self.alone).chain(checks).min()
+        let returns = self.due().map(|(_, due)| due).chain(self.dispatch.deadline());
+        returns.filter(|_| self.is_judged).chain(self.alone).chain(checks).min()
     }
 
     /// Workers that owe pixels, and until when the next tile of each must be in.

@@ -46,6 +46,8 @@ struct Fleet {
     now: Duration,
     crew: BTreeMap<WorkerId, Hand>,
     events: Vec<Event>,
+    /// The frame that was begun last.
+    frame: FrameId,
 }
 
 /// A worker of the fleet.
@@ -64,8 +66,13 @@ fn code(class: &str) -> u8 {
 impl Fleet {
     fn new(patience: Duration, workers: &[(&str, u64)]) -> Self {
         let master = Coordinator::new(None).with_patience(patience);
-        let mut this =
-            Self { master, now: Duration::from_secs(100), crew: BTreeMap::new(), events: Vec::new() };
+        let mut this = Self {
+            master,
+            now: Duration::from_secs(100),
+            crew: BTreeMap::new(),
+            events: Vec::new(),
+            frame: FrameId(0),
+        };
         for &(class, speed) in workers {
             this.join(class, speed);
         }
@@ -90,7 +97,7 @@ impl Fleet {
 
     fn begin(&mut self, mix: bool, balance: Balance) {
         self.events.clear();
-        self.master.begin(&job(mix, balance), self.now).expect("a job in range");
+        self.frame = self.master.begin(&job(mix, balance), self.now).expect("a job in range");
         self.settle();
     }
 
@@ -158,9 +165,13 @@ impl Fleet {
         }
     }
 
+    fn status(&self) -> FrameStatus {
+        self.master.status(self.frame)
+    }
+
     fn finish(&mut self) -> Outcome {
-        assert_eq!(self.master.status(), FrameStatus::Done);
-        let outcome = self.master.finish(self.now).expect("done");
+        assert_eq!(self.status(), FrameStatus::Done);
+        let outcome = self.master.finish(self.frame, self.now).expect("done");
         self.settle();
         let tiles: u32 = outcome.workers.iter().map(|worker| worker.tiles).sum();
         assert_eq!(tiles, outcome.classes.iter().map(|part| part.tiles).sum::<u32>());
@@ -268,7 +279,8 @@ fn a_frame_that_loses_its_class_begins_again_with_another() {
             assert!(fleet.crew[&ids[2]].frame.is_none(), "one of its own is left");
             assert!(fleet.step(ids[1]));
             fleet.lose(ids[1]);
-            let again = Event::Restarted { from: "gpu".into(), to: "cpu".into(), dropped: 11 };
+            let again =
+                Event::Restarted { frame: fleet.frame, from: "gpu".into(), to: "cpu".into(), dropped: 11 };
             assert!(fleet.events.contains(&again), "{balance}: {:?}", fleet.events);
             // One of the first class that comes back now is too late.
             let back = fleet.join("gpu", 9);
@@ -293,7 +305,7 @@ fn a_frame_by_rows_begins_again_at_the_top_with_another_class() {
     let [cpu, gpu] = [WorkerId(0), WorkerId(1)];
     fleet.events.clear();
     let job = job(false, Balance::Dynamic);
-    fleet.master.begin_rows(&job, fleet.now).expect("a job in range");
+    fleet.frame = fleet.master.begin_rows(&job, fleet.now).expect("a job in range");
     fleet.settle();
     // One row of tiles and a half.
     for _ in 0..12 {
@@ -301,7 +313,7 @@ fn a_frame_by_rows_begins_again_at_the_top_with_another_class() {
     }
     let rows = |fleet: &Fleet| -> Vec<Vec<u8>> {
         let rows = |event: &Event| match event {
-            Event::Rows(rows) => Some(rows.clone()),
+            Event::Rows(_, rows) => Some(rows.clone()),
             _ => None,
         };
         fleet.events.iter().filter_map(rows).collect()
@@ -313,7 +325,7 @@ fn a_frame_by_rows_begins_again_at_the_top_with_another_class() {
     // Whoever takes the rows is told, in between, to begin again.
     let is_restart = |event: &Event| matches!(event, Event::Restarted { dropped: 12, .. });
     let restart = fleet.events.iter().position(is_restart).expect("it is told");
-    let before = fleet.events[..restart].iter().filter(|event| matches!(event, Event::Rows(_)));
+    let before = fleet.events[..restart].iter().filter(|event| matches!(event, Event::Rows(..)));
     assert_eq!(before.count(), 1);
     assert_eq!(rows(&fleet)[1..], vec![vec![code("cpu"); band]; 8]);
     assert!(!fleet.step(cpu));
@@ -323,7 +335,7 @@ fn a_frame_by_rows_begins_again_at_the_top_with_another_class() {
     // A mix is looked at again when it is complete, and so held whole.
     fleet.join("gpu", 9);
     fleet.events.clear();
-    fleet.master.begin_rows(&FrameJob { mix: true, ..job }, fleet.now).expect("a job in range");
+    fleet.frame = fleet.master.begin_rows(&FrameJob { mix: true, ..job }, fleet.now).expect("a job in range");
     fleet.settle();
     fleet.run();
     assert_eq!(rows(&fleet), Vec::<Vec<u8>>::new());
@@ -339,7 +351,7 @@ fn a_frame_without_its_class_waits_for_whoever_comes() {
         fleet.begin(false, Balance::Dynamic);
         assert!(fleet.step(first));
         fleet.lose(first);
-        assert_eq!(fleet.master.status(), FrameStatus::Pending);
+        assert_eq!(fleet.status(), FrameStatus::Pending);
         assert_eq!(fleet.master.deadline(), Some(fleet.now + patience));
         fleet.join(comes, 1);
         let restarted = fleet.events.iter().any(|event| matches!(event, Event::Restarted { .. }));
@@ -352,7 +364,7 @@ fn a_frame_without_its_class_waits_for_whoever_comes() {
     fleet.begin(false, Balance::Dynamic);
     fleet.lose(WorkerId(0));
     fleet.master.tick(fleet.now + patience);
-    assert_eq!(fleet.master.status(), FrameStatus::Failed { done: 0, total: 64 });
+    assert_eq!(fleet.status(), FrameStatus::Failed { done: 0, total: 64 });
 }
 
 #[test]
@@ -424,9 +436,9 @@ fn nobody_waits_for_a_comparison_that_does_not_come() {
             fleet.step(gpu);
             events = fleet.events.iter().filter(|event| matches!(event, Event::Tile { .. })).count();
         }
-        assert_eq!(fleet.master.status(), FrameStatus::Pending, "tiles are compared");
+        assert_eq!(fleet.status(), FrameStatus::Pending, "tiles are compared");
         while fleet.step(gpu) {}
-        assert_eq!(fleet.master.status(), FrameStatus::Pending, "two come from the CPU");
+        assert_eq!(fleet.status(), FrameStatus::Pending, "two come from the CPU");
         if dies {
             fleet.lose(cpu);
         } else {
@@ -440,3 +452,5 @@ fn nobody_waits_for_a_comparison_that_does_not_come() {
         assert!(outcome.timings.frame < Duration::from_secs(1), "the footnote does not count");
     }
 }
+
+mod frames;

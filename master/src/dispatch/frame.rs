@@ -185,7 +185,7 @@ impl Dispatch {
         self.expected.clear();
         for worker in self.crew.keys().copied().collect::<Vec<_>>() {
             let Some(hand) = self.crew.get_mut(&worker) else { continue };
-            (hand.since, hand.free_at, hand.lag) = (now, now, 0.0);
+            (hand.since, hand.free_at, hand.lag) = (hand.since.max(now), now, 0.0);
             for (tile, _) in std::mem::take(&mut hand.order) {
                 self.expect(worker, tile, now);
             }
@@ -212,7 +212,8 @@ impl Dispatch {
         Ok(self.hand_out_to(worker, now))
     }
 
-    /// `worker` will not render `tiles` of those that others were faster with; what it and others get next.
+    /// `worker` has been told that nobody waits for some of its tiles, and will not render `tiles` of them; what it and others get next. Nothing
+    /// is learnt of its pace, and it is no progress: one that answers and never renders is found out nevertheless.
     pub fn cancelled(
         &mut self,
         worker: WorkerId,
@@ -221,13 +222,17 @@ impl Dispatch {
     ) -> Result<Vec<Assignment>, Violation> {
         let Some(hand) = self.crew.get_mut(&worker) else { return Ok(Vec::new()) };
         let wrong = Violation::Rendered { tiles, queued: hand.queued };
-        hand.queued = hand.queued.checked_sub(tiles).ok_or(wrong)?;
-        (hand.since, hand.worn) = (now, 0.0);
-        let mut left = tiles;
+        let left = hand.queued.checked_sub(tiles).ok_or(wrong)?;
+        if left == 0 && hand.queued > 0 {
+            let silent = now.saturating_sub(hand.since);
+            hand.worn += silent.div_duration_f64(self.pace.stalled_after(hand.queued));
+        }
+        hand.queued = left;
+        let mut gone = tiles;
         let states = &self.tiles;
         hand.order.retain(|&(tile, _)| {
-            let goes = left > 0 && states[tile.0 as usize].done;
-            left -= u32::from(goes);
+            let goes = gone > 0 && states[tile.0 as usize].done;
+            gone -= u32::from(goes);
             !goes
         });
         Ok(self.hand_out_to(worker, now))

@@ -1,5 +1,6 @@
 //! The document's types.
 
+use crate::CameraTrack;
 use glam::{DMat4, DVec3};
 use std::sync::Arc;
 use tessera_geometry::CameraPose;
@@ -23,6 +24,8 @@ pub struct Scene {
     pub lights: Vec<Light>,
     /// Cameras in world space (node transforms applied); the first is the default.
     pub cameras: Vec<Camera>,
+    /// Cameras among these that move.
+    pub camera_tracks: Vec<CameraTrack>,
     /// What a miss sees.
     pub environment: Environment,
     /// Linear radiance that reaches every surface alike.

@@ -11,9 +11,11 @@ pub mod import;
 mod instances;
 pub mod scene_file;
 pub mod selection;
+mod track;
 
 pub use document::*;
 pub use error::SceneError;
 pub use flatten::{FlatMesh, FlatObject};
 pub use scene_file::{LoadOptions, builtin, load};
 pub use selection::{LeftOut, Selection, Without};
+pub use track::CameraTrack;

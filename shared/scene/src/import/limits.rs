@@ -53,6 +53,12 @@ pub const COORDINATE_MAX: f64 = 1e30;
 /// Levels of the node tree. Traversal is iterative, so this bounds time and rounding, not the stack.
 pub const NODE_DEPTH_MAX: usize = 4096;
 
+/// Nodes on the ways from roots to cameras together, where there are animations: every camera keeps its own.
+pub const CAMERA_CHAINS_MAX: usize = 1 << 22;
+
+/// Values of keys that move cameras together: 32 bytes each, and a node that many cameras hang from counts for each of them.
+pub const CAMERA_KEYS_MAX: usize = 1 << 22;
+
 /// Corners of one polygon. Fans are made without storing it, so this only catches nonsense early.
 pub const POLYGON_CORNERS_MAX: usize = 1 << 20;
 

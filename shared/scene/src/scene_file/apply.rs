@@ -86,6 +86,9 @@ fn stand_up(scene: &mut Scene) {
         light.position = turn.transform_point3(light.position);
         light.direction = turn.transform_vector3(light.direction);
     }
+    for track in &mut scene.camera_tracks {
+        track.to_world = turn * track.to_world;
+    }
     for Camera { pose, .. } in &mut scene.cameras {
         pose.eye = turn.transform_point3(pose.eye);
         pose.target = turn.transform_point3(pose.target);
@@ -102,6 +105,7 @@ fn order_cameras(
 ) -> Result<(), SceneError> {
     let names: HashSet<&str> = stated.iter().map(|c| c.name.as_str()).collect();
     scene.cameras.retain(|c| !names.contains(c.name.as_str()));
+    scene.camera_tracks.retain(|track| !names.contains(track.camera.as_str()));
     stated.append(&mut scene.cameras);
     if let Some(default) = default {
         let Some(place) = stated.iter().position(|c| c.name == *default.get_ref()) else {

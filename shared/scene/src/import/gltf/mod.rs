@@ -17,12 +17,14 @@
 //! | `KHR_texture_transform` | applied to the vertices' coordinates; a slot that wants other ones than the base is left out |
 //! | strips, fans, no indices | triangle lists; points and lines are left out and counted |
 //! | minification filter, mipmaps | left out; `NEAREST` magnification is kept |
-//! | skins, morph targets, animations | rest pose |
+//! | skins, morph targets | rest pose |
+//! | animations | of a camera's node and of those above it: translation, rotation, scale; of all else rest pose |
 //! | perspective camera | vertical field of view in degrees; orthographic cameras are left out |
 //!
 //! An extension that a file requires and that is not read is an error which names it; one it merely uses is a warning.
 
 mod accessor;
+mod animation;
 mod container;
 mod geometry;
 mod material;
@@ -75,10 +77,9 @@ pub(super) fn import(path: &Path) -> Result<Scene, SceneError> {
         let name = "default".to_owned();
         scene.materials.push(Material { name, metallic: 1.0, double_sided: false, ..Material::default() });
     }
-    tree::read(&root, &mut scene, &mut report).map_err(|what| report.invalid(what))?;
-    if !root.animations.is_empty() {
-        report.warn("animations are not played: the scene is shown in its rest pose");
-    }
+    let placed = tree::read(&root, &mut scene, &mut report).map_err(|what| report.invalid(what))?;
+    let tracks = animation::read(&root, &buffers, &placed, &mut report);
+    scene.camera_tracks = tracks.map_err(|what| report.invalid(what))?;
     report.finish(&mut scene);
     Ok(scene)
 }

@@ -622,3 +622,5 @@ fn a_flood_of_instances_is_refused_by_counting() {
         "{error}"
     );
 }
+
+mod animation;

@@ -2,16 +2,25 @@
 
 use super::json::{self, Root};
 use super::{checked, get, name_or};
-use crate::import::limits::{COORDINATE_MAX, NODE_DEPTH_MAX};
+use crate::import::limits::{CAMERA_CHAINS_MAX, COORDINATE_MAX, NODE_DEPTH_MAX};
 use crate::import::report::{Report, shown};
+use crate::track::pose_of;
 use crate::{Camera, Light, LightKind, Node, Scene};
 use glam::{DMat4, DQuat, DVec3, DVec4};
 use json::extensions::scene::khr_lights_punctual;
 use std::collections::{HashMap, HashSet};
-use tessera_geometry::CameraPose;
 
-/// Adds nodes (depth first, in file order), lights and cameras to `scene`.
-pub(super) fn read(root: &Root, scene: &mut Scene, report: &mut Report) -> Result<(), String> {
+/// A camera and the nodes that place it.
+pub(super) struct Placed {
+    pub(super) name: String,
+    pub(super) fov_degrees: f64,
+    /// From its root to its own.
+    pub(super) chain: Vec<usize>,
+}
+
+/// Adds nodes (depth first, in file order), lights and cameras to `scene`; where the cameras are.
+pub(super) fn read(root: &Root, scene: &mut Scene, report: &mut Report) -> Result<Vec<Placed>, String> {
+    let (mut placed, mut in_chains) = (Vec::new(), 0);
     let parents = parents(root)?;
     let roots = roots(root, &parents, report)?;
     let mut camera_names = Names::default();
@@ -38,8 +47,25 @@ pub(super) fn read(root: &Root, scene: &mut Scene, report: &mut Report) -> Resul
         let place = scene.nodes.len();
         let name = name_or(&source.name, "node", index);
         if let Some(camera) = source.camera {
-            read_camera(root, camera.value(), &source.name, &to_world, scene, &mut camera_names, report)
-                .map_err(of)?;
+            let camera =
+                read_camera(root, camera.value(), &source.name, &to_world, &mut camera_names, report);
+            if let Some(camera) = camera.map_err(of)? {
+                if !root.animations.is_empty() {
+                    let mut chain: Vec<_> =
+                        std::iter::successors(Some(index), |&node| parents[node]).collect();
+                    chain.reverse();
+                    in_chains += chain.len();
+                    if in_chains > CAMERA_CHAINS_MAX {
+                        let most = CAMERA_CHAINS_MAX;
+                        return Err(of(format!(
+                            "is a camera too many in so deep a tree ({most} nodes in all)"
+                        )));
+                    }
+                    let (name, fov_degrees) = (camera.name.clone(), camera.pose.fov_degrees);
+                    placed.push(Placed { name, fov_degrees, chain });
+                }
+                scene.cameras.push(camera);
+            }
         }
         if let Some(light) = source.extensions.as_ref().and_then(|all| all.khr_lights_punctual.as_ref()) {
             read_light(root, light.light.value(), &to_world, scene, report).map_err(of)?;
@@ -55,7 +81,7 @@ pub(super) fn read(root: &Root, scene: &mut Scene, report: &mut Report) -> Resul
         let children = source.children.iter().flatten().rev();
         stack.extend(children.map(|child| (child.value(), Some(place), to_world, depth + 1)));
     }
-    Ok(())
+    Ok(placed)
 }
 
 /// The parent of every node; several parents and cycles are errors.
@@ -121,7 +147,8 @@ fn roots(root: &Root, parents: &[Option<usize>], report: &mut Report) -> Result<
     Ok(scene.nodes.iter().map(|node| node.value()).collect())
 }
 
-fn transform(node: &json::Node) -> Result<DMat4, String> {
+/// A node's transform at rest.
+pub(super) fn transform(node: &json::Node) -> Result<DMat4, String> {
     let transform = match node.matrix {
         Some(matrix) => {
             let matrix = DMat4::from_cols_array(&matrix.map(f64::from));
@@ -131,24 +158,24 @@ fn transform(node: &json::Node) -> Result<DMat4, String> {
             matrix
         }
         None => {
-            let vector =
-                |value: Option<[f32; 3]>, default| value.map_or(default, |v| DVec3::from(v.map(f64::from)));
-            let [x, y, z, w] =
-                node.rotation.map_or([0.0, 0.0, 0.0, 1.0], |rotation| rotation.0).map(f64::from);
-            let rotation = DQuat::from_xyzw(x, y, z, w);
-            // The file's four numbers were rounded; in f64 they are not a unit quaternion any more.
-            let length_squared = rotation.length_squared();
-            if length_squared == 0.0 || !length_squared.is_finite() {
-                return Err("has a rotation without direction".to_owned());
-            }
-            DMat4::from_scale_rotation_translation(
-                vector(node.scale, DVec3::ONE),
-                rotation.normalize(),
-                vector(node.translation, DVec3::ZERO),
-            )
+            let (scale, rotation, translation) = parts(node)?;
+            DMat4::from_scale_rotation_translation(scale, rotation, translation)
         }
     };
     if transform.is_finite() { Ok(transform) } else { Err("has a transform that is not finite".to_owned()) }
+}
+
+/// Scale, rotation and translation of a node without a matrix.
+pub(super) fn parts(node: &json::Node) -> Result<(DVec3, DQuat, DVec3), String> {
+    let vector = |value: Option<[f32; 3]>, default| value.map_or(default, |v| DVec3::from(v.map(f64::from)));
+    let [x, y, z, w] = node.rotation.map_or([0.0, 0.0, 0.0, 1.0], |rotation| rotation.0).map(f64::from);
+    let rotation = DQuat::from_xyzw(x, y, z, w);
+    // The file's four numbers were rounded; in f64 they are not a unit quaternion any more.
+    let length_squared = rotation.length_squared();
+    if length_squared == 0.0 || !length_squared.is_finite() {
+        return Err("has a rotation without direction".to_owned());
+    }
+    Ok((vector(node.scale, DVec3::ONE), rotation.normalize(), vector(node.translation, DVec3::ZERO)))
 }
 
 fn read_light(
@@ -204,15 +231,15 @@ fn read_light(
     Ok(())
 }
 
+/// The camera, unless it is left out.
 fn read_camera(
     root: &Root,
     index: usize,
     node_name: &Option<String>,
     to_world: &DMat4,
-    scene: &mut Scene,
     names: &mut Names,
     report: &mut Report,
-) -> Result<(), String> {
+) -> Result<Option<Camera>, String> {
     let source = get(&root.cameras, index, "cameras")?;
     let given = node_name.as_ref().filter(|name| !name.is_empty()).or(source.name.as_ref());
     let name = name_or(&given.cloned(), "camera", index);
@@ -221,38 +248,36 @@ fn read_camera(
             "the camera \"{}\" is orthographic, which is not supported; it is left out",
             shown(&name)
         ));
-        return Ok(());
+        return Ok(None);
     };
-    let eye = to_world.transform_point3(DVec3::ZERO);
-    let axes = (
-        to_world.transform_vector3(DVec3::NEG_Z).try_normalize(),
-        to_world.transform_vector3(DVec3::Y).try_normalize(),
-    );
     let yfov = f64::from(perspective.yfov);
-    let (Some(forward), Some(up), true) = (axes.0, axes.1, yfov > 0.0 && yfov < std::f64::consts::PI) else {
+    let has_view = yfov > 0.0 && yfov < std::f64::consts::PI;
+    let Some(pose) = pose_of(to_world, yfov.to_degrees()).filter(|_| has_view) else {
         report.warn(format!(
             "the camera \"{}\" has no direction or no field of view; it is left out",
             shown(&name)
         ));
-        return Ok(());
+        return Ok(None);
     };
-    let name = names.distinct(name, scene.cameras.len() + 1);
-    let pose = CameraPose { eye, target: eye + forward, up, fov_degrees: yfov.to_degrees() };
-    scene.cameras.push(Camera { name, pose });
-    Ok(())
+    let name = names.distinct(name);
+    Ok(Some(Camera { name, pose }))
 }
 
 /// Names of cameras: `--camera` takes one, so that they must differ.
 #[derive(Default)]
 struct Names {
     taken: HashSet<String>,
+    /// How many there are.
+    count: usize,
     /// The number to try next behind a name that was taken before: without it many cameras of one name would take quadratic time.
     next: HashMap<String, usize>,
 }
 
 impl Names {
-    /// `name`, with a number from `first` on behind it if it is taken.
-    fn distinct(&mut self, name: String, first: usize) -> String {
+    /// `name`, with a number behind it if it is taken: from its place among the cameras on.
+    fn distinct(&mut self, name: String) -> String {
+        self.count += 1;
+        let first = self.count;
         if self.taken.insert(name.clone()) {
             return name;
         }

@@ -149,13 +149,13 @@ impl<'a> World<'a> {
         for worker in 0..self.crew.len() {
             self.master.round_trip(id(worker), round_trip);
         }
-        self.master.begin(self.plot.job, self.now).map_err(|e| e.to_string())?;
+        let frame = self.master.begin(self.plot.job, self.now).map_err(|e| e.to_string())?;
         self.carry_out();
-        while self.master.status() == FrameStatus::Pending {
+        while self.master.status(frame) == FrameStatus::Pending {
             self.step()?;
         }
-        let outcome = match self.master.status() {
-            FrameStatus::Done => self.master.finish(self.now).ok_or("a frame that is done has no outcome")?,
+        let outcome = match self.master.status(frame) {
+            FrameStatus::Done => self.master.finish(frame, self.now).ok_or("a frame that is done has no outcome")?,
             status => return Err(format!("{}: the frame ends as {status:?}", name(self.plot.job.balance))),
         };
         self.carry_out();

@@ -53,10 +53,12 @@ pub fn render(trial: &Trial<'_>) -> Result<Course, String> {
     let mut world = World::gather(trial)?;
     let begun = world.now;
     let job = job(trial);
-    world.master.begin_rows(&job, begun).map_err(|e| e.to_string())?;
-    world.run(|master| master.status() != FrameStatus::Pending)?;
-    let outcome = match world.master.status() {
-        FrameStatus::Done => world.master.finish(world.now).ok_or("a frame that is done has no outcome")?,
+    let frame = world.master.begin_rows(&job, begun).map_err(|e| e.to_string())?;
+    world.run(|master| master.status(frame) != FrameStatus::Pending)?;
+    let outcome = match world.master.status(frame) {
+        FrameStatus::Done => {
+            world.master.finish(frame, world.now).ok_or("a frame that is done has no outcome")?
+        }
         status => return Err(format!("the frame ends as {status:?}")),
     };
     world.settle()?;
@@ -129,8 +131,8 @@ struct World<'a> {
 struct Worker {
     session: Session,
     is_there: bool,
-    /// The tile in hand, by its number.
-    in_hand: Option<u64>,
+    /// The tile in hand, and its number.
+    in_hand: Option<(u64, TileName)>,
     begun: u64,
     /// When the last thing put on each of its pipes arrives: to the worker, control and bulk to the master.
     arrivals: [Duration; 3],
@@ -232,7 +234,7 @@ impl<'a> World<'a> {
             Happening::ToWorker(worker, message) => self.session(worker, |s| s.message(message)),
             Happening::PackArrives(worker, pack) => self.session(worker, |s| s.pack_received(pack, Ok(()))),
             Happening::Rendered(worker, number, tile) => {
-                if self.crew[worker].in_hand == Some(number) {
+                if self.crew[worker].in_hand.is_some_and(|(of, _)| of == number) {
                     self.crew[worker].in_hand = None;
                     self.session(worker, |s| s.rendered(*tile));
                 }
@@ -286,7 +288,7 @@ impl<'a> World<'a> {
             }
             Output::Close(worker, _) => self.crew[worker.0 as usize].is_there = false,
             Output::Event(Event::Lost(..)) => self.lost += 1,
-            Output::Event(Event::Rows(rows)) => self.rows.extend(rows),
+            Output::Event(Event::Rows(_, rows)) => self.rows.extend(rows),
             Output::Event(Event::Tile { done, .. }) => {
                 if done != self.done + 1 {
                     return Err(format!("tile {done} follows tile {}", self.done));
@@ -325,15 +327,13 @@ impl<'a> World<'a> {
                 let time = (self.trial.cost)(task.tile) * self.trial.slowness[worker];
                 let state = &mut self.crew[worker];
                 state.begun += 1;
-                state.in_hand = Some(state.begun);
+                state.in_hand = Some((state.begun, task.name()));
                 let rendered = Happening::Rendered(worker, state.begun, Box::new(rendered(task, time)));
                 self.schedule(self.now + time, rendered);
             }
             Action::StopRendering(tiles) => {
-                // One at a time is in hand.
-                if let Some(&tile) = tiles.first()
-                    && self.crew[worker].in_hand.take().is_some()
-                {
+                let in_hand = &mut self.crew[worker].in_hand;
+                if let Some((_, tile)) = in_hand.take_if(|(_, tile)| tiles.contains(tile)) {
                     self.schedule(self.now + Duration::from_micros(100), Happening::Stopped(worker, tile));
                 }
             }
