@@ -26,7 +26,9 @@ pub mod prepare;
 pub mod report;
 mod service;
 mod session;
+pub mod slow;
 mod spawn;
+pub mod trace;
 mod transport;
 
 pub use client::{Client, ClientError};
