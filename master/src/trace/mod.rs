@@ -109,7 +109,6 @@ impl RunTrace {
             speed: None,
             lost: worker.lost.clone().or_else(|| worker.rejected.clone()),
         };
-        let timings = &result.timings;
         Self {
             version: Self::VERSION,
             scene: scene.to_owned(),
@@ -119,14 +118,7 @@ impl RunTrace {
             size: [job.width, job.height],
             tile: job.tile,
             workers: result.workers.iter().map(worker).collect(),
-            frames: vec![FrameTrace {
-                send_scene_us: micros(timings.send_scene),
-                render_us: micros(timings.render),
-                frame_us: micros(timings.frame),
-                master_us_per_message: None,
-                messages: None,
-                tiles: result.tiles.iter().map(TraceTile::from).collect(),
-            }],
+            frames: vec![FrameTrace::of(result)],
         }
     }
 
@@ -168,6 +160,21 @@ impl RunTrace {
             }
         }
         Ok(())
+    }
+}
+
+impl FrameTrace {
+    /// Of one frame; to be added to the frames of a run with the same workers. The scene is sent once: of later frames that time is to be left out.
+    pub fn of<I>(result: &FrameResult<I>) -> Self {
+        let timings = &result.timings;
+        Self {
+            send_scene_us: micros(timings.send_scene),
+            render_us: micros(timings.render),
+            frame_us: micros(timings.frame),
+            master_us_per_message: None,
+            messages: None,
+            tiles: result.tiles.iter().map(TraceTile::from).collect(),
+        }
     }
 }
 

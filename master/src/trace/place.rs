@@ -75,13 +75,14 @@ impl WorkerSpans {
             let begun = at + if k == 0 { 0 } else { tile.idle_us as i64 };
             let latest_end = received - tile.waited_us as i64;
             let end = (begun.max(assigned).max(free) + tile.render_us as i64).min(latest_end);
-            let begun = (end - tile.render_us as i64).max(assigned).max(free).min(received);
+            let begun = (end - tile.render_us as i64).max(assigned).max(free);
             let end = end.max(begun);
-            let sent = (end + tile.waited_us as i64).min(received).max(end);
+            let received = received.max(end);
+            let sent = (end + tile.waited_us as i64).min(received);
             placed.begun = begun as u64;
             placed.rendered = end as u64;
             placed.sent = sent as u64;
-            placed.received = received.max(end) as u64;
+            placed.received = received as u64;
             (free, at) = (end, end);
         }
     }
