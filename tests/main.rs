@@ -34,5 +34,6 @@ mod simulation;
 mod stiff;
 mod support;
 mod tidy;
+mod trace;
 mod variants;
 mod why;

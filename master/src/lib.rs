@@ -27,7 +27,9 @@ mod probe;
 pub mod report;
 mod service;
 mod session;
+pub mod slow;
 mod spawn;
+pub mod trace;
 mod transport;
 
 pub use client::{Client, ClientError};

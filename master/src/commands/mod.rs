@@ -23,6 +23,7 @@ mod render;
 mod run;
 mod sequence;
 mod why;
+mod why_slow;
 mod worker;
 
 pub use error::{CommandError, say};
@@ -52,6 +53,7 @@ Examples:
   tessera render scene.glb --out picture.exr --workers 4
   tessera scene info scene.glb                         what is in it, what is left out, how large it becomes
   tessera compare a.png b.png                          how far two pictures differ
+  tessera why-slow trace.json                          where the time of a run went that --trace has recorded
   tessera doctor                                       what renders on this machine, and what is missing
   tessera check --quick                                hard inputs, judged, on this machine
 
@@ -105,6 +107,8 @@ pub enum Command {
     /// Measure rays and trees beside obvhs, packing, and a GPU beside the CPU
     #[command(subcommand)]
     Bench(bench::BenchCommand),
+    /// Say where the time of a measured run went, and what would help most
+    WhySlow(why_slow::WhySlowArgs),
     /// Check that hard inputs come out right on this machine
     Check(check::CheckArgs),
     /// Say what renders here, how fast, and what is missing
@@ -122,7 +126,7 @@ impl Command {
             Self::Master(_) => true,
             Self::Worker(args) => !args.ticket,
             Self::Demo(_) | Self::Render(_) | Self::Scene(_) | Self::Compare(_) | Self::Bench(_) => false,
-            Self::Check(_) | Self::Doctor(_) => false,
+            Self::Check(_) | Self::Doctor(_) | Self::WhySlow(_) => false,
         }
     }
 }
@@ -215,6 +219,7 @@ impl Cli {
             Command::Scene(SceneCommand::Pack(args)) => pack::run(args, &progress),
             Command::Compare(args) => compare::run(args),
             Command::Bench(command) => bench::run(command, &progress),
+            Command::WhySlow(args) => why_slow::run(&args),
             Command::Check(args) => check::run(&args, &progress),
             Command::Doctor(args) => doctor::run(&args, &progress),
             Command::Master(args) => master::run(args),

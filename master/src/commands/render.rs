@@ -3,6 +3,7 @@
 use super::against::{self, Against, Subject, Wanted};
 use super::args::{Size, Triple, coded_error, field_of_view, weight};
 use super::backend::BackendArgs;
+use super::page::Overlay;
 use super::progress::Progress;
 use super::run::{Crew, LocalCrew, Session, Written, prepare_scene};
 use super::sequence::{self, SequenceArgs};
@@ -14,6 +15,7 @@ use std::time::Instant;
 use tessera_geometry::{CameraPose, DVec3};
 use tessera_master::prepare::{Prepared, choose_camera};
 use tessera_master::report::{CameraReport, RenderFacts, RenderReport};
+use tessera_master::trace::{RunTrace, TraceFile};
 use tessera_master::{Balance, FrameJob, FrameResult, OutputFile, PixelFormat};
 use tessera_whitted::variant::Variant;
 use tessera_wire::{Adaptive, Coding, Features, FrameError, Sampler, Sampling, TileGrid, limits};
@@ -156,6 +158,14 @@ pub struct FrameArgs {
     /// Write a JSON report of the render to a file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
+    /// Record where the time of every tile went, for Perfetto, Chrome's tracing, and `tessera why-slow`
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
+    /// Draw over the picture who has rendered which tile, or what each has cost: NAME.workers.png, NAME.cost.png
+    ///
+    /// The whole image is then held in memory until it is complete.
+    #[arg(long, value_name = "KINDS", value_enum, value_delimiter = ',')]
+    overlay: Vec<Overlay>,
     /// Print the report as one JSON object on stdout, and nothing else
     #[arg(long)]
     pub json: bool,
@@ -217,6 +227,8 @@ pub fn run(args: RenderArgs, progress: &Progress) -> Result<(), CommandError> {
 pub struct Plan<'a> {
     out: OutputFile,
     report: Option<OutputFile>,
+    trace: Option<OutputFile>,
+    overlays: Vec<(Overlay, OutputFile)>,
     format: PixelFormat,
     features: Features,
     crew: Crew,
@@ -248,20 +260,36 @@ impl<'a> Plan<'a> {
             reflection: !without.reflection,
             refraction: !without.refraction,
         };
+        if let (Crew::Master(_), true) = (&crew, args.trace.is_some() || !args.overlay.is_empty()) {
+            let flag = if args.trace.is_some() { "--trace" } else { "--overlay" };
+            return Err(CommandError::Usage(format!(
+                "{flag}: a master elsewhere does not tell of single tiles; leave it out, or render with --workers"
+            )));
+        }
+        let overlay = |kind: &Overlay| {
+            let file = OutputFile::check(&out.with_extension(format!("{}.png", kind.name())));
+            file.map(|file| (*kind, file)).map_err(CommandError::failed)
+        };
+        let overlays = args.overlay.iter().map(overlay).collect::<Result<Vec<_>, _>>()?;
+        let trace = args.trace.as_deref().map(OutputFile::check).transpose().map_err(CommandError::failed)?;
         let report = args.report.as_deref().map(OutputFile::check).transpose();
         let report = report.map_err(CommandError::failed)?;
         let out = OutputFile::check(out).map_err(CommandError::failed)?;
-        if let Some(report) = &report {
-            for (other, what) in [(Some(out.path()), "the picture"), (scene, "the scene")] {
-                if other.is_some_and(|other| report.is_at(other)) {
+        let written = [(&report, "--report"), (&trace, "--trace")];
+        for (file, flag) in written.iter().filter_map(|(file, flag)| Some((file.as_ref()?, flag))) {
+            let overlays = overlays.iter().map(|(_, overlay)| (Some(overlay.path()), "an overlay"));
+            let report = report.as_ref().filter(|_| *flag == "--trace").map(|file| file.path());
+            let others = [(Some(out.path()), "the picture"), (scene, "the scene"), (report, "the report")];
+            for (other, what) in others.into_iter().chain(overlays) {
+                if other.is_some_and(|other| file.is_at(other)) {
                     return Err(CommandError::Usage(format!(
-                        "--report {}: this is the file of {what}; name another",
-                        report.path().display()
+                        "{flag} {}: this is the file of {what}; name another",
+                        file.path().display()
                     )));
                 }
             }
         }
-        Ok(Self { out, report, format, features, crew, args, against: None })
+        Ok(Self { out, report, trace, overlays, format, features, crew, args, against: None })
     }
 
     /// Has the picture of `scene` compared with another; one in a file is read now.
@@ -319,6 +347,11 @@ impl<'a> Plan<'a> {
         if let Some(file) = &self.report {
             file.write(|to| serde_json::to_writer_pretty(to, &report)).map_err(CommandError::failed)?;
         }
+        if let Some(file) = &self.trace {
+            let run = RunTrace::of_frame(&prepared.name, &job, &frame);
+            file.write(|to| serde_json::to_writer(to, &TraceFile::new(&run)))
+                .map_err(CommandError::failed)?;
+        }
         if args.json { super::print_json(&report) } else { super::print_text(&report.text()) }
     }
 
@@ -351,13 +384,13 @@ impl<'a> Plan<'a> {
         })
     }
 
-    /// PNG files take rows as they become complete, EXR files the whole image.
+    /// PNG files take rows as they become complete, EXR files and overlays the whole image.
     fn render_to_file(
         &self,
         session: &mut Session<'_>,
         job: &FrameJob,
     ) -> Result<FrameResult<Written>, CommandError> {
-        if self.format != PixelFormat::Layers {
+        if self.format != PixelFormat::Layers && self.overlays.is_empty() {
             return session.render_to_png(job, &self.out);
         }
         self.write(session.render(job)?)
@@ -368,6 +401,10 @@ impl<'a> Plan<'a> {
         frame.image.write(&self.out).map_err(CommandError::failed)?;
         let write = begin.elapsed();
         let hash = frame.image.hash();
+        for (overlay, file) in &self.overlays {
+            let png = overlay.draw(&frame, self.args.tile).map_err(CommandError::Failed)?;
+            file.write_bytes(&png).map_err(CommandError::failed)?;
+        }
         Ok(frame.with_image(Written { hash, write }).0)
     }
 }

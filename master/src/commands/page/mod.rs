@@ -7,12 +7,14 @@ mod draw;
 mod font;
 mod labels;
 mod machine;
+mod overlay;
 mod plot;
 mod raster;
 mod svg;
 
 pub use csv::write_csv;
 pub use machine::{BUGS_FOR_TESTS, machine};
+pub use overlay::Overlay;
 pub use plot::{Axis, Line, Plot, Point, Scale, Series, Theme};
 
 use std::fmt::Write;

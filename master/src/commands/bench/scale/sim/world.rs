@@ -155,7 +155,9 @@ impl<'a> World<'a> {
             self.step()?;
         }
         let outcome = match self.master.status(frame) {
-            FrameStatus::Done => self.master.finish(frame, self.now).ok_or("a frame that is done has no outcome")?,
+            FrameStatus::Done => {
+                self.master.finish(frame, self.now).ok_or("a frame that is done has no outcome")?
+            }
             status => return Err(format!("{}: the frame ends as {status:?}", name(self.plot.job.balance))),
         };
         self.carry_out();
