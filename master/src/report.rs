@@ -45,6 +45,9 @@ pub struct RenderReport {
     pub tile: u32,
     /// How tiles got to workers.
     pub balance: &'static str,
+    /// Why `auto` has balanced as it has.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub balance_why: Option<String>,
     /// Samples a pixel; with adaptive sampling the most that one might get.
     pub spp: u32,
     /// Where they lie: `jittered` or `low-discrepancy`.
@@ -368,8 +371,9 @@ impl RenderReport {
             mix: job.mix,
             idle_workers: result.idle,
             size: [job.width, job.height],
-            tile: job.tile,
+            tile: if result.tile > 0 { result.tile } else { job.tile },
             balance: job.balance.name(),
+            balance_why: result.why.clone(),
             spp: job.samples,
             sampler: job.sampling.sampler.name(),
             cutoff: job.sampling.cutoff,

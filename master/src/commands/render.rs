@@ -125,14 +125,17 @@ pub struct FrameArgs {
     #[arg(long, value_name = "DEG", value_parser = field_of_view, allow_hyphen_values = true)]
     #[arg(requires = "eye", requires = "target", help_heading = "Camera")]
     fov: Option<f64>,
-    /// Side of a tile in pixels
-    #[arg(long, value_name = "N", default_value_t = 128, help_heading = "Cluster")]
+    /// Side of a tile in pixels [default: 128, and with --balance auto what suits workers and tiles]
+    #[arg(long, value_name = "N", help_heading = "Cluster")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..))]
-    tile: u32,
+    tile: Option<u32>,
     /// How tiles get to workers; the picture is the same
     ///
     /// paper-static deals them row by row, each worker returns all of its tiles at once; static deals them without stripes and has them
-    /// returned in batches; paper-dynamic gives one at a time to whoever asks; dynamic does so with a few tiles ahead of need.
+    /// returned in batches; hilbert gives each a piece of a curve; weighted and staggered deal by what tiles have cost and how fast workers were
+    /// in the frame before, to end at the same time or one after the other; paper-dynamic gives one tile at a time to whoever asks; dynamic does so
+    /// with some ahead of need; steal keeps weighted lists from which those that have nothing left take; auto tries and measures. All but
+    /// the paper's help out workers that are late.
     #[arg(long, value_name = "MODE", default_value_t, help_heading = "Cluster")]
     #[arg(value_parser = PossibleValuesParser::new(Balance::ALL.map(Balance::name)).try_map(|s| s.parse::<Balance>()))]
     balance: Balance,
@@ -248,12 +251,12 @@ impl<'a> Plan<'a> {
     ) -> Result<Self, CommandError> {
         let format = pixel_format(out, args.bits)?;
         let grid =
-            TileGrid::new(args.size.width, args.size.height, args.tile).map_err(CommandError::usage)?;
+            TileGrid::new(args.size.width, args.size.height, args.tile()).map_err(CommandError::usage)?;
         let bytes = grid.largest_tile_pixels() * format.bytes_per_pixel() as u64;
         if bytes > limits::TILE_BYTES {
             return Err(CommandError::usage(FrameError::TileBytes { bytes }));
         }
-        args.sampling().check(args.tile, args.depth).map_err(CommandError::usage)?;
+        args.sampling().check(args.tile(), args.depth).map_err(CommandError::usage)?;
         let without = packing.without();
         let features = Features {
             shadows: !without.shadows,
@@ -371,7 +374,8 @@ impl<'a> Plan<'a> {
             camera,
             width,
             height,
-            tile: args.tile,
+            // Left to `auto` unless the user has chosen.
+            tile: if args.balance == Balance::Auto { args.tile.unwrap_or(0) } else { args.tile() },
             samples: args.spp,
             sampling: args.sampling(),
             depth: args.depth,
@@ -402,7 +406,7 @@ impl<'a> Plan<'a> {
         let write = begin.elapsed();
         let hash = frame.image.hash();
         for (overlay, file) in &self.overlays {
-            let png = overlay.draw(&frame, self.args.tile).map_err(CommandError::Failed)?;
+            let png = overlay.draw(&frame, frame.tile).map_err(CommandError::Failed)?;
             file.write_bytes(&png).map_err(CommandError::failed)?;
         }
         Ok(frame.with_image(Written { hash, write }).0)
@@ -420,6 +424,11 @@ impl FrameArgs {
             note: None,
             is_left_to_us: false,
         }
+    }
+
+    /// Side of a tile, as far as the user has a word in it.
+    fn tile(&self) -> u32 {
+        self.tile.unwrap_or(FrameJob::TILE)
     }
 
     fn sampling(&self) -> Sampling {

@@ -113,6 +113,8 @@ impl Knowledge {
         if shown.is_empty() {
             return;
         }
+        // A frame that was handed out without knowing what its tiles cost says nothing of the way in which it was.
+        let had_costs = self.has_costs();
         self.learn_speeds(&shown, self.costs(camera, grid).as_deref());
         let mut sums = vec![(0.0, 0u32); grid.tiles() as usize];
         for result in &shown {
@@ -131,7 +133,7 @@ impl Knowledge {
         let densities = known.into_iter().map(|density| density.unwrap_or(mean)).collect();
         self.costs = Some(CostMap { camera: *camera, grid: *grid, densities, mean });
         self.frame_bytes = seen.wire_bytes as f64;
-        if let Some(way) = seen.way {
+        if let Some(way) = seen.way.filter(|_| had_costs) {
             let speeds: f64 = seen.crew.iter().map(|&worker| self.speed_of(worker)).sum();
             let work: f64 = self.costs(camera, grid).into_iter().flatten().map(f64::from).sum();
             if work > 0.0 && speeds > 0.0 {
