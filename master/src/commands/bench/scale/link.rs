@@ -89,7 +89,8 @@ impl LinkProfile {
     /// The profile in `text`, which comes from `origin`.
     pub fn parse(text: &str, origin: &str) -> Result<Self, String> {
         let profile: Self = toml::from_str(text).map_err(|e| {
-            let line = e.span().map_or(1, |span| text[..span.start.min(text.len())].lines().count().max(1));
+            let line =
+                e.span().map_or(1, |span| text[..span.start.min(text.len())].matches('\n').count() + 1);
             format!("{origin}, line {line}: {}", e.message())
         })?;
         profile.check().map_err(|reason| format!("{origin}: {reason}"))?;
