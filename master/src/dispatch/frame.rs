@@ -56,6 +56,10 @@ struct Hand {
     since: Duration,
     /// What frames before have used up of the time that it may be silent: 0 none, 1 all of it.
     worn: f64,
+    /// How much longer than its tiles let it it may be silent since then: what tiles that were taken back let it.
+    granted: Duration,
+    /// Whether another has finished a tile that it had before, and it none since: where its tiles are taken back it idles, and is no help.
+    overtaken: bool,
     /// Whether it takes no more.
     leaving: bool,
 }
@@ -150,7 +154,7 @@ impl Dispatch {
     pub fn worn(&self, now: Duration) -> impl Iterator<Item = (WorkerId, f64)> {
         self.crew.iter().map(move |(&worker, hand)| {
             let silent = if hand.queued > 0 { now.saturating_sub(hand.since) } else { Duration::ZERO };
-            (worker, hand.worn + silent.div_duration_f64(self.pace.stalled_after(hand.queued)))
+            (worker, hand.worn + silent.div_duration_f64(self.stalled_after(hand)))
         })
     }
 
@@ -165,8 +169,8 @@ impl Dispatch {
         let wrong = Violation::Rendered { tiles, queued: hand.queued };
         hand.queued = hand.queued.checked_sub(tiles).filter(|_| tiles > 0).ok_or(wrong)?;
         self.pace.note(worker, tiles, now.saturating_sub(hand.since));
-        hand.since = now;
-        hand.worn = 0.0;
+        (hand.since, hand.granted) = (now, Duration::ZERO);
+        (hand.worn, hand.overtaken) = (0.0, false);
         Ok(self.hand_out(now))
     }
 
@@ -181,10 +185,12 @@ impl Dispatch {
         let Some(hand) = self.crew.get_mut(&worker) else { return Ok(Vec::new()) };
         let wrong = Violation::Rendered { tiles, queued: hand.queued };
         let left = hand.queued.checked_sub(tiles).ok_or(wrong)?;
+        let allowed = self.pace.stalled_after(hand.queued).saturating_add(hand.granted);
         if left == 0 && hand.queued > 0 {
-            let silent = now.saturating_sub(hand.since);
-            hand.worn += silent.div_duration_f64(self.pace.stalled_after(hand.queued));
+            hand.worn += now.saturating_sub(hand.since).div_duration_f64(allowed);
         }
+        // Where one word stands for a list, it has been silent for all of it.
+        hand.granted = allowed.saturating_sub(self.pace.stalled_after(left));
         hand.queued = left;
         Ok(self.hand_out(now))
     }
@@ -234,10 +240,11 @@ impl Dispatch {
             self.first_missing += 1;
         }
         if let Some(hand) = self.crew.get_mut(&worker) {
-            hand.since = now;
+            (hand.since, hand.granted) = (now, Duration::ZERO);
         }
-        for (holder, _) in self.tiles[tile.0 as usize].attempts.clone() {
+        for (before, (holder, _)) in (0..).zip(self.tiles[tile.0 as usize].attempts.clone()) {
             if let Some(hand) = self.crew.get_mut(&holder) {
+                hand.overtaken |= before < attempt.0 && holder != worker;
                 hand.missing -= 1;
                 hand.trim(&self.tiles);
             }
@@ -441,7 +448,8 @@ impl Dispatch {
     /// Workers with unfinished tiles that another one could render as well: from when on they are late, and who that is.
     fn late(&self) -> impl Iterator<Item = (Duration, WorkerId, WorkerId)> {
         // Nobody idles while the pool has tiles. The two that are the fastest are enough to find one that is another.
-        let is_idle = |hand: &Hand| hand.queued == 0 && !hand.leaving && self.pool.is_empty();
+        let is_idle =
+            |hand: &Hand| hand.queued == 0 && !hand.leaving && !hand.overtaken && self.pool.is_empty();
         let mut idle = [None, None];
         for (&worker, _) in self.crew.iter().filter(|(_, hand)| is_idle(hand)) {
             let mut next = Some((self.pace.rank(worker), worker));
@@ -462,9 +470,14 @@ impl Dispatch {
     fn stalls(&self) -> impl Iterator<Item = (WorkerId, Duration)> {
         let busy = self.crew.iter().filter(|(_, hand)| hand.queued > 0);
         busy.map(|(&worker, hand)| {
-            let after = self.pace.stalled_after(hand.queued);
+            let after = self.stalled_after(hand);
             (worker, hand.since + after.saturating_sub(after.mul_f64(hand.worn)))
         })
+    }
+
+    /// How long a worker may be silent before it is taken for dead.
+    fn stalled_after(&self, hand: &Hand) -> Duration {
+        self.pace.stalled_after(hand.queued).saturating_add(hand.granted)
     }
 
     /// Notes that a tile is handed out.
@@ -474,7 +487,7 @@ impl Dispatch {
         tile.attempts.push((worker, now));
         let hand = self.crew.entry(worker).or_default();
         if hand.queued == 0 {
-            hand.since = now;
+            (hand.since, hand.granted) = (now, Duration::ZERO);
         }
         hand.queued += 1;
         hand.missing += 1;

@@ -66,7 +66,11 @@ fn parse_line(line: &str, fov: f64) -> Result<Key, String> {
 
 /// Reads poses from a stream, a line each, until it ends, or one is none or not taken; `take` says why, or whether it wants more. The error
 /// names the line.
-pub fn read_lines(mut from: impl BufRead, fov: f64, mut take: impl FnMut(Key) -> bool) -> Result<(), String> {
+pub fn read_lines(
+    mut from: impl BufRead,
+    fov: f64,
+    mut take: impl FnMut(Key) -> Result<bool, String>,
+) -> Result<(), String> {
     let mut line = Vec::new();
     for number in 1_u64.. {
         line.clear();
