@@ -50,7 +50,8 @@ async fn check_sequences(cluster: &mut Cluster, jobs: &[FrameJob]) {
             assert_eq!(hashes, expected, "{groups} groups, {depth} at a time");
             for (number, frame) in (0..).zip(&frames) {
                 assert_eq!((frame.number, frame.result.classes.len()), (number, 1));
-                assert_eq!(frame.result.workers.len(), 3 / groups as usize, "{groups} groups");
+                let own = (0..3).filter(|worker| worker % groups == number as u32 % groups).count();
+                assert_eq!(frame.result.workers.len(), own, "frame {number} of {groups} groups");
                 assert!(frame.latency >= frame.result.timings.frame);
             }
         }
@@ -181,7 +182,7 @@ fn a_path_is_rendered_frame_by_frame() {
         for (number, (line, (_, bytes))) in frames.iter().zip(&expected).enumerate() {
             assert_eq!(line["frame"], number);
             assert_eq!(line["file"], format!("f-{number:03}.png"));
-            assert!(line["bytes_returned"].as_u64().is_some_and(|bytes| bytes > 48 * 32 * 4));
+            assert!(line["bytes_returned"].as_u64().is_some_and(|bytes| bytes > 0));
             assert_eq!(fs::read(folder.file(&format!("f-{number:03}.png"))).expect("a file"), *bytes);
         }
         assert_eq!((&sum["frames"], &sum["skipped"], &sum["given_up"]), (&5.into(), &0.into(), &0.into()));
@@ -217,7 +218,7 @@ fn poses_on_stdin_are_rendered_as_they_come() {
     folder.write("poses.jsonl", "{\"eye\": [0, 0, 4]}\n");
     run().run().fails(1, &["--poses -: line 1: missing field `target`"]);
     folder.write("poses.jsonl", "\n{\"eye\": [0, 0, 4], \"target\": [0, 0, 4]}\n");
-    run().run().fails(1, &["--poses -: ", "the same point"]);
+    run().run().fails(1, &["--poses -: line 2: ", "the same point"]);
 }
 
 #[test]
@@ -240,7 +241,9 @@ fn what_is_wrong_with_a_sequence_is_said_in_one_line() {
     check(&["--out", "f-%d.png", "--poses", "x"], &["--poses"]);
     check(&["--out", "f-%d.png", "--path", "a", "--poses", "-"], &["cannot be used with"]);
     check(&["--out", "f-%d.png", "--path", "a", "--report", "r.json"], &["of one picture"]);
-    check(&["--out", "f-%d.png", "--path", "a", "--newest"], &["--poses"]);
+    check(&["--out", "f-%d.png", "--path", "a", "--newest"], &["cannot be used with"]);
+    check(&["--out", "f-%d.png", "--frames", "2", "--give-up"], &["cannot be used with"]);
+    check(&["--out", "f-%d.png", "--newest"], &["--poses"]);
     check(&["--out", "f-%d.png", "--frames", "2", "--fps", "0"], &["--fps"]);
 }
 

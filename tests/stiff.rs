@@ -7,6 +7,7 @@ use crate::support::Folder;
 use crate::support::Tessera;
 use std::time::Duration;
 use tessera_master::{Balance, Cluster, ClusterConfig, PixelFormat};
+use tessera_wire::ReturnMode;
 
 #[path = "../master/src/commands/check/cases/stiff/frames.rs"]
 #[allow(dead_code, reason = "`tessera check` uses the rest")]
@@ -47,9 +48,10 @@ fn a_worker_too_slow_to_be_of_use_is_cut_off_and_the_frame_is_complete() {
         let trial =
             world::Trial { tiles: [64, 64], balance, slowness: &[1, 1000, 1], cost: &|_| tile, seed: 1 };
         let course = world::render(&trial).expect("two workers are enough");
-        // A word for all of 1365 tiles has longer, and others have done them before that.
-        let lost = u32::from(balance != Balance::PaperStatic);
-        assert_eq!((course.lost, course.tiles[1]), (lost, 0), "{balance}: {course:?}");
+        // A word for all of 1365 tiles has longer, and others have done them before that. The few that it has rendered by then come too.
+        let is_at_end = balance.returns() == ReturnMode::AtEnd;
+        assert_eq!(course.lost, u32::from(!is_at_end), "{balance}: {course:?}");
+        assert!(course.tiles[1] <= if is_at_end { 10 } else { 0 }, "{balance}: {course:?}");
         // The others take as long as without it, and a word's way there and back for each tile.
         let alone = (tile + Duration::from_millis(2)) * 4096 / 2;
         let dynamic = matches!(balance, Balance::Dynamic | Balance::PaperDynamic);

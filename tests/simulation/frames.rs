@@ -6,14 +6,14 @@ use tessera_master::coordinator::{BeginError, Group};
 #[test]
 fn frames_that_overlap_are_each_complete_for_every_seed() {
     let (mut lost, mut joined, mut helped, mut cancelled, mut stopped, mut full) = (0, 0, 0, 0, 0, 0);
-    for seed in 0..2000 {
+    for seed in 0..600 {
         let mut world = World::new(seed, true);
         let (groups, depth) = (1 + world.below(3) as u32, 1 + world.below(3) as usize);
         for pack in [None, Some(PACKS[1])] {
             if let Some(pack) = pack {
                 world.load(pack);
             }
-            let jobs: Vec<_> = (1..=5).map(|seed| FrameJob { seed, ..world.random_job() }).collect();
+            let jobs: Vec<_> = (1..=8).map(|seed| FrameJob { seed, ..world.random_job() }).collect();
             let (outcomes, waited) = world.render_all(&jobs, groups, depth);
             for (job, outcome) in jobs.iter().zip(&outcomes) {
                 check_frame(seed, job, outcome);
@@ -27,10 +27,10 @@ fn frames_that_overlap_are_each_complete_for_every_seed() {
         stopped += world.stopped;
     }
     // The seeds do what they are for.
-    assert!(lost > 2000 && joined > 2000, "{lost} workers were lost, {joined} were late");
-    assert!(helped > 2000, "{helped} tiles were with two workers");
-    assert!(cancelled > 10_000 && stopped > 200, "{cancelled} tiles were cancelled, {stopped} stopped");
-    assert!(full > 10, "{full} times there was no room");
+    assert!(lost > 600 && joined > 600, "{lost} workers were lost, {joined} were late");
+    assert!(helped > 1000, "{helped} tiles were with two workers");
+    assert!(cancelled > 3000 && stopped > 50, "{cancelled} tiles were cancelled, {stopped} stopped");
+    assert!(full > 0, "{full} times there was no room");
 }
 
 #[test]

@@ -176,7 +176,7 @@ impl Dispatch {
     pub fn worn(&self, now: Duration) -> impl Iterator<Item = (WorkerId, f64)> {
         self.crew.iter().map(move |(&worker, hand)| {
             let silent = if hand.queued > 0 { now.saturating_sub(hand.since) } else { Duration::ZERO };
-            (worker, hand.worn + silent.div_duration_f64(self.pace.stalled_after(hand.queued)))
+            (worker, hand.worn + silent.div_duration_f64(self.stalled_after(hand)))
         })
     }
 
@@ -203,7 +203,8 @@ impl Dispatch {
         let wrong = Violation::Rendered { tiles, queued: hand.queued };
         hand.queued = hand.queued.checked_sub(tiles).filter(|_| tiles > 0).ok_or(wrong)?;
         self.pace.note(worker, tiles, now.saturating_sub(hand.since));
-        (hand.since, hand.worn) = (now, 0.0);
+        (hand.since, hand.granted) = (now, Duration::ZERO);
+        (hand.worn, hand.overtaken) = (0.0, false);
         for _ in 0..tiles {
             let Some((tile, expected)) = hand.order.pop_front() else { break };
             hand.lag = now.as_secs_f64() - expected.as_secs_f64();
@@ -223,10 +224,12 @@ impl Dispatch {
         let Some(hand) = self.crew.get_mut(&worker) else { return Ok(Vec::new()) };
         let wrong = Violation::Rendered { tiles, queued: hand.queued };
         let left = hand.queued.checked_sub(tiles).ok_or(wrong)?;
+        let allowed = self.pace.stalled_after(hand.queued).saturating_add(hand.granted);
         if left == 0 && hand.queued > 0 {
-            let silent = now.saturating_sub(hand.since);
-            hand.worn += silent.div_duration_f64(self.pace.stalled_after(hand.queued));
+            hand.worn += now.saturating_sub(hand.since).div_duration_f64(allowed);
         }
+        // Where one word stands for a list, it has been silent for all of it.
+        hand.granted = allowed.saturating_sub(self.pace.stalled_after(left));
         hand.queued = left;
         let mut gone = tiles;
         let states = &self.tiles;
@@ -266,10 +269,11 @@ impl Dispatch {
             self.first_missing += 1;
         }
         if let Some(hand) = self.crew.get_mut(&worker) {
-            hand.since = now;
+            (hand.since, hand.granted) = (now, Duration::ZERO);
         }
-        for (holder, _) in self.tiles[tile.0 as usize].attempts.clone() {
+        for (before, (holder, _)) in (0..).zip(self.tiles[tile.0 as usize].attempts.clone()) {
             if let Some(hand) = self.crew.get_mut(&holder) {
+                hand.overtaken |= before < attempt.0 && holder != worker;
                 hand.missing -= 1;
                 hand.trim(&self.tiles);
                 if let Some(&(_, expected)) = hand.order.iter().find(|(other, _)| *other == tile) {
@@ -566,7 +570,7 @@ impl Dispatch {
         self.idle.remove(&worker);
         let hand = self.crew.entry(worker).or_default();
         if hand.queued == 0 {
-            (hand.since, hand.lag) = (now, 0.0);
+            (hand.since, hand.granted, hand.lag) = (now, Duration::ZERO, 0.0);
         }
         hand.queued += 1;
         hand.missing += 1;

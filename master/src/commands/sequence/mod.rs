@@ -36,10 +36,10 @@ pub struct SequenceArgs {
     #[arg(long, value_name = "-", value_parser = ["-"], conflicts_with_all = ["frames", "fps", "eye"])]
     poses: Option<String>,
     /// Skip poses that have not begun when a newer one is there
-    #[arg(long, requires = "poses")]
+    #[arg(long, requires = "poses", conflicts_with_all = ["path", "frames", "fps"])]
     newest: bool,
     /// Give up frames under way too; after that one is seen to its end, so that pictures come however fast poses do
-    #[arg(long, requires = "newest")]
+    #[arg(long, requires = "newest", conflicts_with_all = ["path", "frames", "fps"])]
     give_up: bool,
     /// Split the workers into G groups, which render frames by turns: with as many groups as workers each renders whole frames
     #[arg(long, value_name = "G", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
@@ -180,15 +180,8 @@ fn listen(
     const WAITING: usize = 16;
     let (tell, asked) = mpsc::channel(WAITING);
     let read = move || {
-        let mut error = None;
-        let read = poses::read_lines(BufReader::new(std::io::stdin()), fov, |key| match job_of(&key.pose) {
-            Ok(job) => tell.blocking_send(Ok(job)).is_ok(),
-            Err(what) => {
-                error = Some(what);
-                false
-            }
-        });
-        if let Some(what) = read.err().or(error) {
+        let take = |key: poses::Key| job_of(&key.pose).map(|job| tell.blocking_send(Ok(job)).is_ok());
+        if let Err(what) = poses::read_lines(BufReader::new(std::io::stdin()), fov, take) {
             let _ = tell.blocking_send(Err(CommandError::Failed(format!("--poses -: {what}"))));
         }
     };

@@ -64,8 +64,13 @@ fn parse_line(line: &str, fov: f64) -> Result<Key, String> {
     entry.key(fov)
 }
 
-/// Reads poses from a stream, a line each, until it ends or one is none; `take` says whether it wants more. The error names the line.
-pub fn read_lines(mut from: impl BufRead, fov: f64, mut take: impl FnMut(Key) -> bool) -> Result<(), String> {
+/// Reads poses from a stream, a line each, until it ends, or one is none or not taken; `take` says why, or whether it wants more. The error
+/// names the line.
+pub fn read_lines(
+    mut from: impl BufRead,
+    fov: f64,
+    mut take: impl FnMut(Key) -> Result<bool, String>,
+) -> Result<(), String> {
     let mut line = Vec::new();
     for number in 1_u64.. {
         line.clear();
@@ -78,7 +83,10 @@ pub fn read_lines(mut from: impl BufRead, fov: f64, mut take: impl FnMut(Key) ->
             return Err(of(format!("it is longer than {LINE_BYTES_MAX} bytes; write one pose a line")));
         }
         let text = std::str::from_utf8(&line).map_err(|_| of("it is no UTF-8".into()))?.trim();
-        if !text.is_empty() && !take(parse_line(text, fov).map_err(of)?) {
+        if text.is_empty() {
+            continue;
+        }
+        if !parse_line(text, fov).and_then(&mut take).map_err(of)? {
             return Ok(());
         }
     }
@@ -115,7 +123,7 @@ fn parse_json_lines(text: &str, fov: f64) -> Result<Vec<Key>, String> {
     let mut keys = Vec::new();
     read_lines(text.as_bytes(), fov, |key| {
         keys.push(key);
-        true
+        Ok(true)
     })?;
     Ok(keys)
 }

@@ -1,6 +1,6 @@
 //! Tiles that go to a second worker, and workers that are given up.
 
-use super::{Dispatch, Handed};
+use super::{Dispatch, Hand, Handed};
 use crate::dispatch::policy::Endgame;
 use std::time::Duration;
 use tessera_wire::{TileId, WorkerId};
@@ -84,8 +84,18 @@ impl Dispatch {
 
     /// Of those that idle, the one that is the fastest, as far as is known.
     fn helper(&self) -> Option<WorkerId> {
-        let rank = |worker: &WorkerId| (self.pace.rank(*worker), *worker);
-        self.idle.iter().copied().min_by_key(rank)
+        self.helpers().min_by_key(|&worker| (self.pace.rank(worker), worker))
+    }
+
+    /// Those that idle, and are no slower than whom they would help.
+    fn helpers(&self) -> impl Iterator<Item = WorkerId> {
+        let is_help = |worker: &WorkerId| self.crew.get(worker).is_some_and(|hand| !hand.overtaken);
+        self.idle.iter().copied().filter(is_help)
+    }
+
+    /// How long a worker may be silent before it is taken for dead.
+    pub(super) fn stalled_after(&self, hand: &Hand) -> Duration {
+        self.pace.stalled_after(hand.queued).saturating_add(hand.granted)
     }
 
     fn round_trip(&self, worker: WorkerId) -> f64 {
@@ -107,7 +117,7 @@ impl Dispatch {
     pub(super) fn late(&self) -> impl Iterator<Item = (Duration, WorkerId, WorkerId)> {
         // Nobody idles while there are tiles for it. The two that are the fastest are enough to find one that is another.
         let mut idle = [None, None];
-        for &worker in self.idle.iter().filter(|_| self.pool.is_empty()) {
+        for worker in self.helpers().filter(|_| self.pool.is_empty()) {
             let mut next = Some((self.pace.rank(worker), worker));
             for place in &mut idle {
                 if place.is_none_or(|held| next.is_some_and(|next| next < held)) {
@@ -128,7 +138,7 @@ impl Dispatch {
     pub(super) fn stalls(&self) -> impl Iterator<Item = (WorkerId, Duration)> {
         let busy = self.crew.iter().filter(|(_, hand)| hand.queued > 0);
         busy.map(|(&worker, hand)| {
-            let after = self.pace.stalled_after(hand.queued);
+            let after = self.stalled_after(hand);
             (worker, hand.since + after.saturating_sub(after.mul_f64(hand.worn)))
         })
     }

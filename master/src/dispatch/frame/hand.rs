@@ -26,6 +26,10 @@ pub(super) struct Hand {
     pub(super) since: Duration,
     /// What frames before have used up of the time that it may be silent: 0 none, 1 all of it.
     pub(super) worn: f64,
+    /// How much longer than its tiles let it it may be silent since then: what tiles that were taken back let it.
+    pub(super) granted: Duration,
+    /// Whether another has finished a tile that it had before, and it none since: where its tiles are taken back it idles, and is no help.
+    pub(super) overtaken: bool,
     /// Whether it takes no more.
     pub(super) leaving: bool,
 }
