@@ -338,4 +338,26 @@ mod tests {
             matches!(&next, Some(Input::Broken(_, PipeError::Malformed(detail))) if detail.contains("101"))
         );
     }
+
+    #[tokio::test]
+    async fn packed_tiles_are_unpacked_and_what_is_none_breaks_the_pipe() {
+        let (link, mut there) = Link::in_memory();
+        let (tell, mut inputs) = mpsc::channel(8);
+        let counters = Arc::<Counters>::default();
+        counters.tile_bytes.store(1024, Ordering::Relaxed);
+        let _line = Line::start(WorkerId(0), link, &tell, &counters);
+        let pixels = [7; 1024];
+        let coding = tessera_wire::Coding::Lossless;
+        let format = tessera_wire::PixelFormat::Rgba8;
+        let packed = pixels::encode(format, 16, &pixels, coding).expect("nothing is smoother");
+        let raw = TileEntry::raw(packed.len() as u32);
+        let entry = TileEntry { coding: TileCoding::Packed, pixel_bytes: 1024, ..raw };
+        let header = BatchHeader { frame: FrameId(1), tiles: vec![entry; 2] };
+        write_message(&mut there.bulk_out, &header).await.unwrap();
+        there.bulk_out.write_all(&packed).await.unwrap();
+        there.bulk_out.write_all(&vec![0xff; packed.len()]).await.unwrap();
+        let Some(Input::Tile(_, tile)) = inputs.recv().await else { panic!("the first is well") };
+        assert!(tile.pixels == pixels && tile.wire_bytes < 1024, "{} bytes", tile.wire_bytes);
+        assert!(matches!(inputs.recv().await, Some(Input::Broken(_, PipeError::Malformed(_)))));
+    }
 }

@@ -103,7 +103,7 @@ impl Sheet {
                     1 => (x + y) % 12 < 3,
                     _ => (x + 12 - y % 12) % 12 < 3,
                 };
-                mixed(before, tint, if striped { 0.85 } else { 0.5 })
+                mixed(grey(before), tint, if striped { 0.85 } else { 0.5 })
             });
             self.border(rect);
             let size = (f64::from(rect.width.min(rect.height)) * 0.3).min(1.4 * self.size);
@@ -132,12 +132,7 @@ impl Sheet {
         for tile in first() {
             let Some(rect) = grid.rect(tile.tile) else { continue };
             let heat = heat(tile.render.as_secs_f64() * 1e3 / most);
-            self.each(rect, |_, _, before| {
-                // The picture stays as a shade: its colours would be taken for the scale's.
-                let [_, r, g, b] = before.to_be_bytes().map(u32::from);
-                let grey = (54 * r + 183 * g + 19 * b) >> 8;
-                mixed(grey << 16 | grey << 8 | grey, heat, 0.7)
-            });
+            self.each(rect, |_, _, before| mixed(grey(before), heat, 0.7));
             self.border(rect);
         }
         self.heading();
@@ -243,6 +238,13 @@ fn heat(share: f64) -> u32 {
     let at = share.clamp(0.0, 1.0) * (HEAT.len() - 1) as f64;
     let below = (at as usize).min(HEAT.len() - 2);
     mixed(HEAT[below], HEAT[below + 1], (at - below as f64) as f32)
+}
+
+/// Its shade. Of the picture no more is kept below what is drawn: its colours would be taken for those of the legend.
+fn grey(rgb: u32) -> u32 {
+    let [_, r, g, b] = rgb.to_be_bytes().map(u32::from);
+    let grey = (54 * r + 183 * g + 19 * b) >> 8;
+    grey << 16 | grey << 8 | grey
 }
 
 /// `share` of `b`, the rest of `a`.
