@@ -19,6 +19,6 @@ pub use class::fastest;
 pub use deal::{Deal, row_major_owner};
 pub use frame::{Assignment, Dispatch, Violation};
 pub use knowledge::{Knowledge, Seen, Shown};
-pub use policy::{Ahead, Endgame, Plan, View, plan};
+pub use policy::{View, plan};
 
 pub use tessera_wire::Balance;

@@ -76,10 +76,10 @@ impl Way {
 
     /// Packets that are acknowledged together, and how long one waits for another (RFC 9000, 13.2.1 and 18.2).
     const TOGETHER: u64 = 2;
-    pub const ACK_DELAY: Duration = Duration::from_millis(25);
+    pub const ACK_DELAY: Duration = Duration::from_millis(2);
 
     /// Bytes that may be under way before any was acknowledged: what the transport is set to.
-    const FIRST_WINDOW: f64 = 262_144.0;
+    const FIRST_WINDOW: f64 = 1_048_576.0;
 
     pub fn new(link: &LinkProfile, direction: Direction, peer: u32) -> Self {
         let round_trip = Duration::from_secs_f64(2e-3 * link.latency_ms);
