@@ -25,6 +25,8 @@ pub struct Measured {
     pub tiles: u32,
     pub records: Vec<TileRecord>,
     pub dropped: u64,
+    /// How long the master worked, where that is known.
+    pub master: Duration,
     /// Of the image.
     pub hash: String,
     /// Why it was balanced as it was, for `auto`.
@@ -54,10 +56,12 @@ pub struct Row {
     pub dropped: u64,
     /// What the simulator says that the frame takes, where it was asked.
     pub predicted_ms: Option<f64>,
+    /// Why `auto` has handed tiles out as it has.
+    pub why: Option<String>,
 }
 
 impl Row {
-    pub const COLUMNS: [&str; 14] = [
+    pub const COLUMNS: [&str; 15] = [
         "scene",
         "link",
         "balance",
@@ -72,10 +76,11 @@ impl Row {
         "busy_share",
         "dropped",
         "predicted_ms",
+        "why",
     ];
 
     /// As [`Row::COLUMNS`] says.
-    pub fn cells(&self) -> [String; 14] {
+    pub fn cells(&self) -> [String; 15] {
         [
             self.scene.clone(),
             self.link.clone(),
@@ -91,6 +96,7 @@ impl Row {
             format!("{:.4}", self.busy_share),
             self.dropped.to_string(),
             self.predicted_ms.map_or(String::new(), |ms| format!("{ms:.3}")),
+            self.why.clone().unwrap_or_default(),
         ]
     }
 }

@@ -97,8 +97,11 @@ pub fn run(args: &ScaleArgs, progress: &Progress) -> Result<(), CommandError> {
             studio.measure_cluster(link, speeds, &ways, progress, &mut rows)?;
         }
     }
-    let report = report_of(&studio, args, grid, rows);
+    let mut report = report_of(&studio, args, grid, rows);
     if let Some(out) = &out {
+        // What was measured is kept, whatever happens to the rest.
+        write_files(out, &report)?;
+        report.compression = studio.compression(progress)?;
         write_files(out, &report)?;
     }
     if args.cluster.json {
@@ -130,6 +133,7 @@ fn report_of(studio: &Studio<'_>, args: &ScaleArgs, grid: Grid, rows: Vec<Row>) 
         links: grid.links,
         rows,
         summaries,
+        compression: Vec::new(),
         command: command_line(),
         machine: machine(),
     }

@@ -1,6 +1,7 @@
 //! The page of `bench scale`.
 
-use super::paper::{TABLE_9, WORKERS};
+use super::case::Row;
+use super::paper::{COMPRESSED, TABLE_7, TABLE_9, WORKERS};
 use super::report::{Report, Summary, distinct, prediction_error};
 use crate::commands::page::{Axis, Line, Page, PageSection, Plot, Point, Scale, Series, Table};
 
@@ -14,6 +15,8 @@ pub fn page(report: &Report) -> Page {
         sections.push(efficiencies(report, link));
     }
     sections.extend(beside_the_paper(report));
+    sections.extend(reasons(report));
+    sections.extend(compression(report));
     sections.push(bytes_and_idle(report));
     let mut summary = vec![format!(
         "{}, camera {}, {width} x {height} pixels; devices: {}, a frame takes one of speed 1 {:.3} s{}.",
@@ -214,6 +217,62 @@ fn beside_the_paper(report: &Report) -> Option<PageSection> {
         plot: None,
         pictures: Vec::new(),
         table: Some(table(&columns, rows, 1)),
+    })
+}
+
+/// What `auto` says of what it has done.
+fn reasons(report: &Report) -> Option<PageSection> {
+    let last = |s: &&Summary| {
+        let is_of = |r: &&Row| (&r.link, &r.balance, r.workers) == (&s.link, &s.balance, s.workers);
+        report.rows.iter().filter(is_of).next_back()
+    };
+    let rows = report.summaries.iter().filter_map(|s| {
+        let row = last(&s)?;
+        Some(vec![s.link.clone(), s.workers.to_string(), row.tile.to_string(), row.why.clone()?])
+    });
+    let rows: Vec<_> = rows.collect();
+    (!rows.is_empty()).then(|| PageSection {
+        title: "What auto has chosen, and why".into(),
+        text: vec!["Of the last frame of each case.".into()],
+        plot: None,
+        pictures: Vec::new(),
+        table: Some(table(&["link", "workers", "tile", "why"], rows, 4)),
+    })
+}
+
+/// The paper's Table 7, and ours.
+fn compression(report: &Report) -> Option<PageSection> {
+    let cell = |time: Option<f64>| time.map_or("-".to_owned(), |time| format!("{time:.1}"));
+    let mut rows = Vec::new();
+    for (scene, one, sixteen) in &TABLE_7 {
+        let base = one[0];
+        for (what, (one, sixteen)) in COMPRESSED.iter().zip(one.iter().zip(sixteen)) {
+            let over = one / base;
+            rows.push(vec![
+                format!("paper, {scene}"),
+                (*what).into(),
+                cell(Some(*one)),
+                format!("{over:.3}"),
+                cell(*sixteen),
+            ]);
+        }
+    }
+    let base = report.compression.first()?.one_ms;
+    for row in &report.compression {
+        let over = format!("{:.3}", row.one_ms / base);
+        let name = format!("ours, {}", report.scene);
+        rows.push(vec![name, row.what.clone(), cell(Some(row.one_ms)), over, cell(Some(row.sixteen_ms))]);
+    }
+    let columns = ["scene", "compressed", "one worker, ms", "over nothing", "16 workers, ms"];
+    Some(PageSection {
+        title: "Beside the paper's Table 7: what compression costs".into(),
+        text: vec![
+            "Ours: one core's time of the frame with plain or packed vertices and with no or up to two references on inner nodes of the tree, scaled so              that both take what one device takes here; sixteen simulated on the phone's link with paper-static."
+                .into(),
+        ],
+        plot: None,
+        pictures: Vec::new(),
+        table: Some(table(&columns, rows, 2)),
     })
 }
 

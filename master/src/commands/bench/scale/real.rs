@@ -8,6 +8,7 @@ use crate::commands::LogArgs;
 use crate::commands::run::runtime;
 use std::ffi::OsString;
 use std::path::Path;
+use std::time::Duration;
 use tessera_master::{Cluster, ClusterConfig, FrameJob, LocalWorkers, Workers};
 use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
 
@@ -87,6 +88,7 @@ impl RealCluster {
                     tiles: frame.tiles.iter().filter(|tile| tile.is_first).count() as u32,
                     hash: frame.image.hash().to_string(),
                     dropped: frame.dropped_tiles,
+                    master: Duration::ZERO,
                     why: frame.why,
                     records: frame.tiles,
                 });

@@ -85,6 +85,12 @@ impl Recorded {
         Duration::from_micros(self.micros.iter().map(|us| u64::from(*us)).sum())
     }
 
+    /// Seconds of each row of recorded tiles.
+    pub fn row_costs(&self) -> Vec<f64> {
+        let rows = self.micros.chunks(self.grid.columns() as usize);
+        rows.map(|row| row.iter().map(|us| 1e-6 * f64::from(*us)).sum()).collect()
+    }
+
     /// What `rect`, a recorded tile or several, took one core.
     pub fn cost(&self, rect: Rect) -> Duration {
         let side = self.grid.tile();
@@ -128,23 +134,5 @@ impl Recorded {
         let pixels = self.pixels(rect);
         let packed = pixels::encode(PixelFormat::Rgba8, rect.width, &pixels, Coding::Lossless);
         packed.map_or(pixels.len(), |packed| packed.len())
-    }
-
-    /// The most that a tile of `side` costs over the mean, and the same of the paper's columns, `workers` of them.
-    pub fn spread(&self, side: u32, workers: u32) -> (f64, f64) {
-        let (width, height) = self.grid.size();
-        let Ok(grid) = TileGrid::new(width, height, side) else { return (1.0, 1.0) };
-        let costs: Vec<_> = (0..grid.tiles())
-            .filter_map(|tile| grid.rect(TileId(tile)))
-            .map(|rect| self.cost(rect).as_secs_f64())
-            .collect();
-        let total: f64 = costs.iter().sum();
-        let over_mean = |parts: &[f64]| {
-            parts.iter().copied().fold(0.0, f64::max)
-                / (total / parts.len().max(1) as f64).max(f64::MIN_POSITIVE)
-        };
-        let mut loads = vec![0.0; workers.max(1) as usize];
-        costs.iter().enumerate().for_each(|(tile, cost)| loads[tile % workers.max(1) as usize] += cost);
-        (over_mean(&costs), over_mean(&loads))
     }
 }

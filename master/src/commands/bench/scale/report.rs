@@ -2,6 +2,7 @@
 
 use super::case::{Row, median};
 use super::link::LinkProfile;
+use super::studio::Compression;
 use serde::{Deserialize, Serialize};
 
 /// `scale.json`.
@@ -24,6 +25,9 @@ pub struct Report {
     pub links: Vec<LinkProfile>,
     pub rows: Vec<Row>,
     pub summaries: Vec<Summary>,
+    /// The paper's Table 7, where a page was asked for.
+    #[serde(default)]
+    pub compression: Vec<Compression>,
     pub command: String,
     pub machine: Vec<(String, String)>,
 }
@@ -194,6 +198,7 @@ mod tests {
             busy_share: 0.5,
             dropped: 0,
             predicted_ms: Some(110.0),
+            why: None,
         }
     }
 

@@ -18,6 +18,8 @@ pub struct Simulated<'a> {
     /// What a tile costs besides.
     pub launch: Duration,
     pub costs: Costs,
+    /// Which row of the recording is the image's first.
+    pub first_row: u32,
 }
 
 impl Simulated<'_> {
@@ -29,12 +31,13 @@ impl Simulated<'_> {
         frames: usize,
         faults: &[Fault],
     ) -> Result<Vec<Measured>, CommandError> {
-        let cost = |_: usize, rect: Rect| self.recorded.cost(rect).mul_f64(self.scale) + self.launch;
+        let there = |rect: Rect| Rect { y: rect.y + self.first_row, ..rect };
+        let cost = |_: usize, rect: Rect| self.recorded.cost(there(rect)).mul_f64(self.scale) + self.launch;
         // A tile is coded once: its bytes are the same in every frame.
         let coded = RefCell::new(BTreeMap::<(u32, u32, u32), u32>::new());
         let bytes_of = |rect: Rect| {
             let key = (rect.x, rect.y, rect.width);
-            *coded.borrow_mut().entry(key).or_insert_with(|| self.recorded.wire_bytes(rect) as u32)
+            *coded.borrow_mut().entry(key).or_insert_with(|| self.recorded.wire_bytes(there(rect)) as u32)
         };
         // As a cluster of processes begins, before it has measured anything.
         let coding = Some(job.coding.unwrap_or(Coding::Lossless))
@@ -58,6 +61,7 @@ impl Simulated<'_> {
             tiles: frame.count,
             records: frame.tiles,
             dropped: frame.dropped,
+            master: frame.master,
             // The simulator has compared every pixel; they are its own.
             hash: self.recorded.hash.clone(),
             why: frame.why,

@@ -7,16 +7,26 @@ use super::real::{Device, RealCluster};
 use super::recorded::Recorded;
 use super::sim::Costs;
 use super::simulated::Simulated;
-use crate::commands::args::Size;
+use crate::commands::args::{PlainPart, Size};
 use crate::commands::progress::Progress;
 use crate::commands::run::prepare_scene;
 use crate::commands::{CommandError, PackingArgs};
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Duration;
 use tessera_geometry::LocalCamera;
 use tessera_master::prepare::{Prepared, choose_camera};
 use tessera_master::{Balance, FrameJob, PixelFormat};
 use tessera_wire::{Coding, Features, Sampling};
+
+/// A row of the paper's Table 7.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Compression {
+    /// What is compressed.
+    pub what: String,
+    pub one_ms: f64,
+    pub sixteen_ms: f64,
+}
 
 /// A frame that was recorded, for clusters to render.
 pub struct Studio<'a> {
@@ -118,6 +128,35 @@ impl<'a> Studio<'a> {
         Ok(())
     }
 
+    /// The frame of packs of which nothing, the mesh, the tree or both are compressed, as the paper's Table 7 has it: milliseconds of one device,
+    /// on the scale on which that with both takes what it does here, and of sixteen, simulated as the paper's phones.
+    pub fn compression(&self, progress: &Progress) -> Result<Vec<Compression>, CommandError> {
+        let link = LinkProfile::find("phone").map_err(CommandError::Failed)?;
+        let plain = [PlainPart::Positions, PlainPart::Normals, PlainPart::Uv];
+        let variants = [("nothing", true, 0), ("mesh", false, 0), ("tree", true, 2), ("both", false, 2)];
+        let render = |(what, is_plain, refs)| {
+            let _bar = progress.step(format!("recording with {what} compressed"));
+            let plain = if is_plain { plain.to_vec() } else { Vec::new() };
+            let packing = PackingArgs { plain, refs: Some(refs), ..PackingArgs::default() };
+            let prepared = prepare_scene(&self.args.scene, &packing, progress)?;
+            let (_, job) = job(self.args, &prepared)?;
+            Ok((what, Recorded::render(&prepared.pack, &job, progress)?))
+        };
+        let recorded = variants.into_iter().map(render).collect::<Result<Vec<_>, CommandError>>()?;
+        let both = recorded.last().map_or(1.0, |(_, both)| both.total().as_secs_f64());
+        let scale = self.args.one_worker / both;
+        let time = |(what, recorded): &(&'static str, Recorded)| {
+            let simulated =
+                Simulated { recorded, scale, launch: Duration::ZERO, costs: Costs::default(), first_row: 0 };
+            let case = Case { link: link.clone(), balance: Balance::PaperStatic, speeds: vec![1.0; 16] };
+            let job = FrameJob { coding: Some(Coding::Raw), ..self.job.clone() };
+            let frames = simulated.run(&case, &job, 1, &[])?;
+            let sixteen_ms = frames.first().map_or(f64::NAN, |frame| ms(frame.took));
+            Ok(Compression { what: (*what).into(), one_ms: ms(recorded.total().mul_f64(scale)), sixteen_ms })
+        };
+        recorded.iter().map(time).collect()
+    }
+
     /// How pixels travel: as is asked for; the paper's ways send them raw, as the paper did.
     fn coding(&self, balance: Balance) -> Option<Coding> {
         match self.args.coding {
@@ -129,7 +168,13 @@ impl<'a> Studio<'a> {
 
     fn simulator(&self) -> Simulated<'_> {
         let launch = Duration::from_micros(self.args.launch_us.into());
-        Simulated { recorded: &self.recorded, scale: self.scale, launch, costs: Costs::default() }
+        Simulated {
+            recorded: &self.recorded,
+            scale: self.scale,
+            launch,
+            costs: Costs::default(),
+            first_row: 0,
+        }
     }
 
     fn row(&self, case: &Case, run: u32, frame: u32, measured: &Measured, predicted_ms: Option<f64>) -> Row {
@@ -150,6 +195,7 @@ impl<'a> Studio<'a> {
             busy_share: measured.busy_share(case.speeds.len()),
             dropped: measured.dropped,
             predicted_ms,
+            why: measured.why.clone(),
         }
     }
 }

@@ -86,6 +86,15 @@ pub enum Fault {
     },
 }
 
+impl Fault {
+    /// Whom it befalls.
+    pub fn worker(&self) -> usize {
+        match *self {
+            Self::Slows { worker, .. } | Self::Dies { worker, .. } | Self::Joins { worker, .. } => worker,
+        }
+    }
+}
+
 /// A simulated frame.
 #[derive(Clone, Debug)]
 pub struct Frame {
@@ -93,8 +102,6 @@ pub struct Frame {
     pub took: Duration,
     /// UDP payload in both directions.
     pub bytes: u64,
-    /// Packets in both directions.
-    pub packets: u64,
     /// Its results.
     pub tiles: Vec<TileRecord>,
     /// How long the master worked.

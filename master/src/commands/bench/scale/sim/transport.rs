@@ -61,7 +61,6 @@ pub struct Way {
     /// Data packets that have come and are not acknowledged.
     unacknowledged: u64,
     received: u64,
-    pub packets: u64,
     pub bytes: u64,
     round_trip: Duration,
     payload: usize,
@@ -97,7 +96,6 @@ impl Way {
             acked: 0,
             unacknowledged: 0,
             received: 0,
-            packets: 0,
             bytes: 0,
             round_trip,
             payload: (link.mtu as usize).min(usize::from(tessera_wire::limits::UDP_PAYLOAD_BYTES))
@@ -236,7 +234,6 @@ impl Way {
         now: Duration,
         later: &mut Vec<(Duration, Later)>,
     ) {
-        self.packets += 1;
         self.bytes += packet.bytes as u64;
         let is_data = packet.number != u64::MAX;
         if is_data {

@@ -140,10 +140,8 @@ impl<'a> World<'a> {
 
     fn render(&mut self, number: usize) -> Result<Frame, String> {
         self.frame = number;
-        let count = |world: &Self| {
-            let ways = || world.crew.iter().flat_map(|w| [&w.up, &w.down]);
-            (ways().map(|way| way.bytes).sum::<u64>(), ways().map(|way| way.packets).sum::<u64>())
-        };
+        let count =
+            |world: &Self| world.crew.iter().flat_map(|w| [&w.up, &w.down]).map(|way| way.bytes).sum::<u64>();
         let (before, busy) = (count(self), self.busy);
         let round_trip = Duration::from_secs_f64(2e-3 * self.plot.link.latency_ms) + 2 * self.plot.costs.wake;
         for worker in 0..self.crew.len() {
@@ -169,8 +167,7 @@ impl<'a> World<'a> {
         let after = count(self);
         Ok(Frame {
             took: outcome.timings.frame,
-            bytes: after.0 - before.0,
-            packets: after.1 - before.1,
+            bytes: after - before,
             tiles: outcome.tiles,
             master: self.busy - busy,
             dropped: outcome.dropped_tiles,
