@@ -41,7 +41,7 @@ fn frame(id: u64, returns: ReturnMode) -> Frame {
         features: Features::default(),
         format: PixelFormat::Rgba8,
         returns,
-        coding: Coding::Raw,
+        coding: tessera_wire::Coding::Raw,
     }
 }
 
