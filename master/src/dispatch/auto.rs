@@ -139,18 +139,22 @@ pub(super) fn plan(view: &View<'_>) -> Plan {
         Way::Halves => {
             let lists = weighted_lists(view, &[]).unwrap_or_else(|| even_lists(view));
             let returns = ReturnMode::Every { tiles: list.div_ceil(2).max(1) };
-            Plan { returns, endgame: Endgame::Soonest, ..dealt(Balance::Auto, view, lists) }
+            Plan { returns, endgame: rarely(view), ..dealt(Balance::Auto, view, lists) }
         }
         Way::Whole => {
             let lists = staggered_lists(view).unwrap_or_else(|| even_lists(view));
-            Plan {
-                returns: ReturnMode::AtEnd,
-                endgame: Endgame::Soonest,
-                ..dealt(Balance::Auto, view, lists)
-            }
+            Plan { returns: ReturnMode::AtEnd, endgame: rarely(view), ..dealt(Balance::Auto, view, lists) }
         }
     };
     Plan { why: Some(why), way: Some(way as usize), ..plan }
+}
+
+/// Where messages are dear, a tile goes to a second worker only if that saves a good part of the frame: a worker that has slowed down.
+fn rarely(view: &View<'_>) -> Endgame {
+    const PART: f64 = 0.2;
+    let work: f64 = view.known.costs(view.camera, view.grid).into_iter().flatten().map(f64::from).sum();
+    let speeds: f64 = view.workers.iter().map(|&worker| view.known.speed_of(worker)).sum();
+    Endgame::Soonest(Duration::try_from_secs_f64(PART * work / speeds).unwrap_or_default())
 }
 
 /// Side of a tile for `workers`: a fine enough grid that the last tiles do not matter, coarse enough that messages and launches do not.

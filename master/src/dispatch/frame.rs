@@ -587,7 +587,7 @@ impl Dispatch {
         let took = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
         hand.free_at = hand.free_at.max(now).saturating_add(took.unwrap_or_default());
         hand.order.push_back((tile, hand.free_at));
-        if took.is_some() && !self.shared.contains(&tile) && self.plan.endgame == Endgame::Soonest {
+        if took.is_some() && !self.shared.contains(&tile) && self.plan.endgame != Endgame::Late {
             self.expected.insert((hand.free_at, tile, worker));
         }
     }

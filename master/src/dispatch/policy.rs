@@ -79,8 +79,13 @@ pub enum Ahead {
 pub enum Endgame {
     /// When its holder was silent for much longer than a tile takes.
     Late,
-    /// As soon as it is likely to be finished earlier that way.
-    Soonest,
+    /// As soon as it is likely to be finished earlier that way, by so much at least: what the messages for it are worth.
+    Soonest(Duration),
+}
+
+impl Endgame {
+    /// A message there and another back, and a wake-up of each process.
+    pub(super) const LEAST: Self = Self::Soonest(Duration::from_millis(2));
 }
 
 /// Tiles that a worker holds at least where they are pulled: one that it renders, and the next, so that it need not wait for a word.
@@ -105,7 +110,7 @@ pub fn plan(balance: Balance, view: &View<'_>) -> Plan {
             None => dealt(balance, view, even_lists(view)),
         },
         Balance::PaperDynamic => Plan { ahead: Ahead::One, ..pulled(balance, view) },
-        Balance::Dynamic => Plan { endgame: Endgame::Soonest, ..pulled(balance, view) },
+        Balance::Dynamic => Plan { endgame: Endgame::LEAST, ..pulled(balance, view) },
         Balance::Steal => stolen(balance, view),
         Balance::Auto => auto::plan(view),
     }
@@ -118,7 +123,7 @@ pub(super) fn dealt(balance: Balance, view: &View<'_>, lists: Vec<Vec<TileId>>) 
 
 /// Lists that the master keeps and workers take from, their own first.
 pub(super) fn stolen(balance: Balance, view: &View<'_>) -> Plan {
-    let plan = Plan { steals: true, endgame: Endgame::Soonest, ..pulled(balance, view) };
+    let plan = Plan { steals: true, endgame: Endgame::LEAST, ..pulled(balance, view) };
     if view.in_order {
         return plan;
     }

@@ -23,20 +23,18 @@ impl Dispatch {
     /// is rendered twice has to be cancelled.
     const MARGIN: f64 = 1.25;
 
-    /// And gain so many seconds at least: a message there and another back, and a wake-up of each process.
-    const GAIN_LEAST: f64 = 0.002;
-
     /// How soon those that idle look again when nothing was worth it.
     const LOOK_AGAIN: Duration = Duration::from_millis(1);
 
     /// Gives the tiles of others to workers that have nothing.
     pub(super) fn help(&mut self, now: Duration, handed: &mut Handed) {
-        if self.plan.endgame == Endgame::Soonest {
-            while let Some(rescue) = self.rescue(now) {
+        if let Endgame::Soonest(least) = self.plan.endgame {
+            let least = least.as_secs_f64();
+            while let Some(rescue) = self.rescue(least, now) {
                 self.share(rescue.holder, rescue.tile);
                 self.give(rescue.helper, rescue.tile, now, handed);
             }
-            self.look_at = self.next_rescue().map(|at| at.max(now + Self::LOOK_AGAIN));
+            self.look_at = self.next_rescue(least).map(|at| at.max(now + Self::LOOK_AGAIN));
         }
         while let Some((_, late, idle)) = self.late().filter(|&(at, ..)| at <= now).min() {
             // Its last, and not the one that it is at: if it is only slow, the two meet in the middle.
@@ -47,8 +45,8 @@ impl Dispatch {
         }
     }
 
-    /// The tile that gains most by going to a second worker as well.
-    fn rescue(&self, now: Duration) -> Option<Rescue> {
+    /// The tile that gains most by going to a second worker as well, `least` seconds or more.
+    fn rescue(&self, least: f64, now: Duration) -> Option<Rescue> {
         let helper = self.helper()?;
         let ends = self
             .expected
@@ -63,22 +61,17 @@ impl Dispatch {
             let left = left.max(overdue);
             let mine = self.seconds(helper, tile)? + self.round_trip(helper);
             let gain = left - mine;
-            (left > Self::MARGIN * mine && gain > Self::GAIN_LEAST).then_some(Rescue {
-                tile,
-                holder,
-                helper,
-                gain,
-            })
+            (left > Self::MARGIN * mine && gain > least).then_some(Rescue { tile, holder, helper, gain })
         };
         ends.filter_map(worth).max_by(|a, b| a.gain.total_cmp(&b.gain))
     }
 
     /// When the tile that should be finished first becomes worth it, at the earliest.
-    fn next_rescue(&self) -> Option<Duration> {
+    fn next_rescue(&self, least: f64) -> Option<Duration> {
         let helper = self.helper()?;
         let &(expected, tile, _) = self.expected.iter().find(|(.., holder)| *holder != helper)?;
         let mine = self.seconds(helper, tile)? + self.round_trip(helper);
-        let after = Duration::try_from_secs_f64(Self::MARGIN * mine + Self::GAIN_LEAST).ok()?;
+        let after = Duration::try_from_secs_f64(Self::MARGIN * mine + least).ok()?;
         expected.checked_add(after)
     }
 
