@@ -195,8 +195,12 @@ impl Dispatch {
         Ok(self.hand_out(now))
     }
 
-    /// Living workers but `worker` that were given `tile` and have not said that all of their tiles are rendered.
+    /// Living workers but `worker` that were given `tile` and have not said that all of their tiles are rendered: it is to be taken back from
+    /// them. Nobody while there are tiles to hand out: who is slow would be given another one in its place, and others wait for that.
     pub fn other_holders(&self, tile: TileId, worker: WorkerId) -> Vec<WorkerId> {
+        if !self.pool.is_empty() {
+            return Vec::new();
+        }
         let attempts = self.tiles.get(tile.0 as usize).map_or(&[][..], |tile| &tile.attempts);
         let holds = |other: &WorkerId| self.crew.get(other).is_some_and(|hand| hand.queued > 0);
         let mut others: Vec<_> = attempts.iter().map(|&(other, _)| other).filter(|&w| w != worker).collect();
@@ -424,7 +428,8 @@ impl Dispatch {
         let first = TileId(self.first_missing);
         let (&late, hand) = self.crew.iter().find(|(_, hand)| hand.alone_with.contains(&first))?;
         let is_late = hand.since + self.pace.late_after(late, hand.queued, helper) <= now;
-        (late != helper && is_late).then_some(late)
+        let is_help = late != helper && self.crew.get(&helper).is_none_or(|hand| !hand.overtaken);
+        (is_help && is_late).then_some(late)
     }
 
     /// `tile`, which `late` has alone, is about to go to another as well.
