@@ -285,8 +285,12 @@ impl Dispatch {
         Ok(true)
     }
 
-    /// Living workers beside `worker` that have `tile` and have not said that it is rendered.
+    /// Living workers beside `worker` that have `tile` and have not said that it is rendered: it is to be taken back from them. Nobody while
+    /// there are tiles for all to be handed out: who is slow would be given another one in its place, and others wait for that.
     pub fn other_holders(&self, tile: TileId, worker: WorkerId) -> Vec<WorkerId> {
+        if !self.pool.is_empty() {
+            return Vec::new();
+        }
         let attempts = self.tiles.get(tile.0 as usize).map_or(&[][..], |tile| &tile.attempts);
         let holders = attempts.iter().map(|&(holder, _)| holder).filter(|&holder| holder != worker);
         let has = |holder: &WorkerId| {
