@@ -184,7 +184,8 @@ fn short_frames_do_not_hide_a_worker_that_is_dead() {
             frames += 1;
             // Time between frames is nobody's fault.
             world.pass(Duration::from_secs(100));
-            assert!(frames < 200, "{balance}: it is still there");
+            // (A frame of the dynamic balancing takes as long as its tiles alone: those that idle do not wait for the dead.)
+            assert!(frames < 100_000, "{balance}: it is still there");
         }
         let silent = world.now - begun - Duration::from_secs(100) * frames as u32;
         // As in one long frame, but for the time of the last.

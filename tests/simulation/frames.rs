@@ -123,7 +123,7 @@ fn overlapping_frames_do_not_hide_a_worker_that_is_dead() {
             check_frame(frames, &job, outcome);
         }
         frames += 4;
-        assert!(frames < 1000, "it is still there");
+        assert!(frames < 100_000, "it is still there");
     }
     assert!(world.reasons[0].contains("stalled"), "{:?}", world.reasons);
 }

@@ -257,7 +257,7 @@ fn the_largest_honest_messages_fit() {
     let frame = codec::encode(&summary).unwrap();
     assert_eq!(decode_checked::<FrameSummary>(&frame[codec::PREFIX_BYTES..]), Ok(summary));
     let hello = Hello {
-        versions: vec![u16::MAX - 1, 4].into_iter().cycle().take(limits::VERSIONS).collect(),
+        versions: vec![u16::MAX - 1, 5].into_iter().cycle().take(limits::VERSIONS).collect(),
         token: Token([0xFF; 16]),
         name: text("n"),
         role: Role::Worker(Abilities {
