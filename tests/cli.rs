@@ -76,7 +76,13 @@ fn wrong_usage_is_exit_code_2_and_one_line() {
     check(&render(&["--position-bits", "8", "--plain=positions"]), &["--position-bits has no effect"]);
     check(&render(&["--uv-bits", "8", "--plain=normals,uv"]), &["--uv-bits has no effect"]);
     check(&render(&["--workers", "257"]), &["--workers"]);
-    check(&render(&["--balance", "fair"]), &["--balance", "paper-static, static, hilbert, weighted, staggered, paper-dynamic, dynamic, steal, auto"]);
+    check(
+        &render(&["--balance", "fair"]),
+        &[
+            "--balance",
+            "paper-static, static, hilbert, weighted, staggered, paper-dynamic, dynamic, steal, auto",
+        ],
+    );
     check(&render(&["--without", "colour"]), &["--without", "textures, shadows, reflection, refraction"]);
     check(&render(&["--plain=colour"]), &["--plain", "positions, normals, uv"]);
     check(&render(&["--eye", "0,0,5"]), &["--target", "--fov"]);

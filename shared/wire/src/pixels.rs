@@ -88,7 +88,8 @@ impl Packer {
     ) -> Option<Vec<u8>> {
         let columns = width as usize;
         let row = columns * format.bytes_per_pixel();
-        let is_tile = (1..=limits::SIDE).contains(&width) && !pixels.is_empty() && pixels.len() % row == 0;
+        let is_tile =
+            (1..=limits::SIDE).contains(&width) && !pixels.is_empty() && pixels.len().is_multiple_of(row);
         if coding == Coding::Raw || !is_tile || pixels.len() as u64 > limits::TILE_BYTES {
             return None;
         }
@@ -104,7 +105,7 @@ impl Packer {
                     let samples = pixels.as_chunks::<4>().0.iter();
                     // (255 * 171 / 512 is within one of 255 / 3, and so on for all below.)
                     let (times, shift) = if grid != 0 && channel < 3 { (171, 9) } else { (1, 0) };
-                    let numbered = |code: u8| (u16::from(code) * times >> shift) as u8;
+                    let numbered = |code: u8| ((u16::from(code) * times) >> shift) as u8;
                     let by = if green != 0 && (channel == 0 || channel == 2) { 1 } else { 0 };
                     self.bytes.samples.clear();
                     self.bytes.samples.extend(
@@ -155,7 +156,7 @@ pub fn decode(pixel_bytes: usize, bytes: &[u8]) -> Result<Vec<u8>, String> {
         return Err(format!("a packed tile with flags {flags:#04x}"));
     }
     let columns = usize::from(u16::from_le_bytes([low, high])) + 1;
-    if pixel_bytes == 0 || pixel_bytes % (columns * format.bytes_per_pixel()) != 0 {
+    if pixel_bytes == 0 || !pixel_bytes.is_multiple_of(columns * format.bytes_per_pixel()) {
         return Err(format!("{pixel_bytes} bytes of a packed tile are no rows of {columns} pixels"));
     }
     let mut reader = BitReader::new(&bytes[HEADER_BYTES..]);

@@ -1,7 +1,7 @@
 //! A session from outside: messages in, actions out.
 
 use super::*;
-use tessera_wire::{Abilities, Camera, Coding, Features, PixelFormat, Role, Token, WorkerId};
+use tessera_wire::{Abilities, Camera, Features, PixelFormat, Role, Token, WorkerId};
 
 const PACK: PackId = PackId([7; 32]);
 

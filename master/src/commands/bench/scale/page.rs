@@ -224,7 +224,7 @@ fn beside_the_paper(report: &Report) -> Option<PageSection> {
 fn reasons(report: &Report) -> Option<PageSection> {
     let last = |s: &&Summary| {
         let is_of = |r: &&Row| (&r.link, &r.balance, r.workers) == (&s.link, &s.balance, s.workers);
-        report.rows.iter().filter(is_of).next_back()
+        report.rows.iter().rfind(is_of)
     };
     let rows = report.summaries.iter().filter_map(|s| {
         let row = last(&s)?;

@@ -22,12 +22,15 @@ pub const TABLE_8: [(&str, [f64; 4], [f64; 4]); 4] = [
     ("Power Plant", [3939.7, 3862.6, 4682.2, 6845.1], [427.4, 393.8, 459.0, 689.8]),
 ];
 
+/// A scene of Table 7: of one worker, of sixteen.
+type Compressed = (&'static str, [f64; 4], [Option<f64>; 4]);
+
 /// What is compressed in Table 7.
 pub const COMPRESSED: [&str; 4] = ["nothing", "mesh", "tree", "both"];
 
 /// Milliseconds of a frame of one worker and of 16, by [`COMPRESSED`] (Table 7); what is not known
 /// there is `None`.
-pub const TABLE_7: [(&str, [f64; 4], [Option<f64>; 4]); 2] = [
+pub const TABLE_7: [Compressed; 2] = [
     ("Sponza", [2632.4, 2832.2, 2776.6, 2905.4], [Some(358.1), None, None, Some(380.6)]),
     ("Soda Hall", [2788.1, 2893.4, 2936.9, 3224.5], [Some(321.5), None, None, Some(347.8)]),
 ];
