@@ -26,7 +26,7 @@ pub struct SequenceArgs {
     /// Frames a second of the animation's or the path's time [default: --frames spread from the first key to the last]
     #[arg(long, value_name = "F", value_parser = frames_a_second, allow_hyphen_values = true)]
     fps: Option<f64>,
-    /// Render along a path: a file of poses, in JSON one a line, {"eye": [x,y,z], "target": [x,y,z]}, or in TOML as [[pose]]
+    /// Render along a path: a file of poses with eye and target, in JSON an object a line, or in TOML a table named pose each
     ///
     /// up, fov (degrees) and time (seconds) may be given too. Without --frames and --fps each pose is a frame; else frames lie on straight
     /// lines between the poses, which without times are a second apart.
