@@ -359,10 +359,10 @@ async fn what_cannot_be_done_is_said() {
     let (workers, _served) = in_memory(1);
     let mut cluster = Cluster::start(workers, ClusterConfig::default()).await.expect("it joins");
     cluster.load(&pack, |_| ()).await.expect("it takes the pack");
-    let wild = FrameJob { tile: 0, ..job };
+    let wild = FrameJob { tile: 1, width: 600, height: 600, ..job };
     assert!(matches!(
         cluster.render(&wild, |_| ()).await,
-        Err(RenderError::Job(BeginError::Job(FrameError::Tile)))
+        Err(RenderError::Job(BeginError::Job(FrameError::Tiles { tiles: 360_000 })))
     ));
     let frame = cluster.render(&FrameJob { tile: 64, ..wild }, |_| ()).await;
     assert!(frame.is_ok(), "a refused job does no harm: {frame:?}");

@@ -136,9 +136,9 @@ impl Dispatch {
             may_wait: u32::MAX,
         };
         for (&worker, list) in workers.iter().zip(lists) {
-            let time = list.iter().map(|&tile| this.seconds(worker, tile).unwrap_or(1.0)).sum();
+            let cost = list.iter().map(|&tile| this.list_cost(tile)).sum();
             if let Some(hand) = this.crew.get_mut(&worker) {
-                (hand.list, hand.list_time) = (list.into(), time);
+                (hand.list, hand.list_cost) = (list.into(), cost);
             }
         }
         let assignments = this.hand_out(now);
@@ -465,9 +465,9 @@ impl Dispatch {
         if queued < ahead
             && let Some(tile) = self.crew.get_mut(&worker).and_then(|hand| hand.list.pop_front())
         {
-            let seconds = self.seconds(worker, tile).unwrap_or(1.0);
+            let cost = self.list_cost(tile);
             if let Some(hand) = self.crew.get_mut(&worker) {
-                hand.list_time -= seconds;
+                hand.list_cost -= cost;
             }
             self.give(worker, tile, now, handed);
             return true;
@@ -546,23 +546,38 @@ impl Dispatch {
         }
     }
 
+    /// What a tile is in a list's sum: its cost, or one of many while nothing is known.
+    fn list_cost(&self, tile: TileId) -> f64 {
+        self.plan.costs.get(tile.0 as usize).map_or(1.0, |&cost| f64::from(cost))
+    }
+
+    /// When `worker` would end with what it has and its list.
+    fn ends(&self, worker: WorkerId, hand: &Hand, now: Duration) -> f64 {
+        let unit = if self.plan.costs.is_empty() {
+            self.pace.mean_of(worker).map_or(1.0, |mean| mean.as_secs_f64())
+        } else {
+            1.0 / self.speed_of(worker)
+        };
+        let ready = hand.free_at.as_secs_f64() + hand.lag_at(now).max(0.0);
+        ready.max(now.as_secs_f64()) + hand.list_cost * unit
+    }
+
     /// Takes the last tile of the list that would last longest, if `worker` is likely to end earlier with it.
     fn steal_for(&mut self, worker: WorkerId, now: Duration) -> Option<TileId> {
         let longest = self.crew.iter().filter(|(_, hand)| !hand.list.is_empty());
-        let ends = |hand: &Hand| hand.free_at.as_secs_f64() + hand.lag.max(0.0) + hand.list_time;
-        let (&other, hand) = longest.max_by(|a, b| ends(a.1).total_cmp(&ends(b.1)))?;
-        let &tile = hand.list.back()?;
-        let own = self.crew.get(&worker)?;
-        let begins = own.free_at.max(now).as_secs_f64();
+        let ends = longest.map(|(&other, hand)| (self.ends(other, hand, now), other));
+        let (ends, other) = ends.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let &tile = self.crew.get(&other)?.list.back()?;
+        let begins = self.crew.get(&worker)?.free_at.max(now).as_secs_f64();
         if let Some(mine) = self.seconds(worker, tile)
             && other != worker
-            && begins + mine > ends(hand).max(now.as_secs_f64())
+            && begins + mine > ends
         {
             return None;
         }
-        let theirs = self.seconds(other, tile).unwrap_or(1.0);
+        let cost = self.list_cost(tile);
         let hand = self.crew.get_mut(&other)?;
-        hand.list_time -= theirs;
+        hand.list_cost -= cost;
         hand.list.pop_back()
     }
 

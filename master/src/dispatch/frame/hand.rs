@@ -8,8 +8,8 @@ use tessera_wire::TileId;
 pub(super) struct Hand {
     /// Its tiles that the master still has.
     pub(super) list: VecDeque<TileId>,
-    /// What they take it, in seconds; 1 for each while nothing is known.
-    pub(super) list_time: f64,
+    /// What they cost, in seconds of a worker of speed 1; their number while nothing is known.
+    pub(super) list_cost: f64,
     /// Tiles handed out and not yet said to be rendered.
     pub(super) queued: u32,
     /// Those, in the order of rendering, and by when each was expected.

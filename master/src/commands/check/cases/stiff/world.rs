@@ -433,7 +433,13 @@ pub fn unequal(slowness: &[u32], tiles: [u32; 2], balance: Balance, seed: u64) -
     };
     // A tile that is taken over costs its word's way there and back besides, and the last ones come one by one.
     let again = (tile + 4 * DELAY) * (held * slow).div_ceil(fast.len() as u32) + 2 * tile;
-    let allowed = alone.took + patience(balance, tile, held) + again;
+    // Lists that the master keeps are taken from a tile at a time: of a slow worker's share each tile has its word's ways.
+    let taken = match balance {
+        Balance::Steal | Balance::Auto => total.div_ceil(count) + tiles[1],
+        _ => 0,
+    };
+    let words = 4 * DELAY * (taken * slow).div_ceil(fast.len() as u32);
+    let allowed = alone.took + patience(balance, tile, held) + again + words;
     // The dynamic balancing returns tiles as small as these in batches of many. Of the one that returns each by itself four rows may wait. Then a
     // slow worker's patience runs, and its tiles are rendered one after the other, each behind three that
     // a fast one has in hand; meanwhile all fast ones go on.
