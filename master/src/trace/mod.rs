@@ -116,7 +116,7 @@ impl RunTrace {
             balance: job.balance.name().into(),
             coding: result.coding.name().into(),
             size: [job.width, job.height],
-            tile: job.tile,
+            tile: if result.tile > 0 { result.tile } else { job.tile },
             workers: result.workers.iter().map(worker).collect(),
             frames: vec![FrameTrace::of(result)],
         }

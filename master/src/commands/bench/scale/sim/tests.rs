@@ -2,6 +2,8 @@
 
 use super::*;
 use tessera_geometry::{LocalCamera, Vec3};
+use tessera_master::slow::{Change, explain};
+use tessera_master::trace::{FrameTrace, RunTrace, TraceTile, TraceWorker};
 use tessera_wire::{Coding, Features, PixelFormat, Sampling};
 
 const MILLISECOND: Duration = Duration::from_millis(1);
@@ -214,6 +216,83 @@ fn the_same_cluster_has_the_same_course() {
     let times =
         |frames: Vec<Frame>| frames.into_iter().map(|f| (f.took, f.bytes, f.tiles)).collect::<Vec<_>>();
     assert_eq!(times(course()), times(course()));
+}
+
+/// What `why-slow` would change in runs whose cause is planted.
+#[test]
+fn why_slow_names_the_planted_cause() {
+    let wired = link("wired");
+    let tile_cost = |ms: f64| move |_: usize, _: Rect| Duration::from_secs_f64(1e-3 * ms);
+    let even = tile_cost(20.0);
+    let one_costs_more =
+        |_: usize, rect: Rect| if (rect.x, rect.y) == (896, 896) { 400 } else { 5 } * MILLISECOND;
+    let mut slow_link = link("lan100");
+    (slow_link.mbit_up, slow_link.mbit_down) = (Some(20.0), Some(20.0));
+    let eight = vec![1.0; 8];
+    let one_slow: Vec<_> = (0..8).map(|i| if i == 2 { 0.1 } else { 1.0 }).collect();
+    let busy = Costs { master_tile: 5 * MILLISECOND, ..Costs::default() };
+    let usual = Costs::default();
+    let dynamic = Balance::Dynamic;
+    let raw = |tile, balance| FrameJob { coding: Some(Coding::Raw), ..job(1024, tile, balance) };
+    check(&slow_link, &eight, &even, &raw(128, dynamic), usual, Change::FasterLink);
+    check(&wired, &one_slow, &even, &raw(128, Balance::Static), usual, Change::SlowWorker);
+    check(&wired, &eight, &one_costs_more, &raw(128, dynamic), usual, Change::SmallerTiles);
+    check(
+        &link("lan100"),
+        &eight,
+        &tile_cost(0.05),
+        &job(1024, 16, Balance::PaperDynamic),
+        usual,
+        Change::LargerTiles,
+    );
+    check(&wired, &[1.0; 2], &even, &raw(128, dynamic), usual, Change::MoreWorkers);
+    check(&wired, &eight, &tile_cost(5.0), &raw(64, dynamic), busy, Change::SecondMaster);
+}
+
+fn check(
+    link: &LinkProfile,
+    speeds: &[f64],
+    cost: &dyn Fn(usize, Rect) -> Duration,
+    job: &FrameJob,
+    costs: Costs,
+    expected: Change,
+) {
+    let coded = |rect: Rect| {
+        let raw = rect.width * rect.height * 4;
+        if job.coding == Some(Coding::Raw) { raw } else { raw / 12 }
+    };
+    let plot = Plot { link, speeds, cost, coded: &coded, job, frames: 2, costs, faults: &[] };
+    let frame = simulate(&plot).expect("frames end").remove(1);
+    let messages = 2 * u64::from(frame.count);
+    let run = RunTrace {
+        version: RunTrace::VERSION,
+        scene: "planted".into(),
+        link: Some(link.name.clone()),
+        balance: job.balance.name().into(),
+        coding: job.coding.map_or("raw", Coding::name).into(),
+        size: [job.width, job.height],
+        tile: frame.tile,
+        workers: (0..speeds.len())
+            .map(|i| TraceWorker { name: format!("w{i}"), ..TraceWorker::default() })
+            .collect(),
+        frames: vec![FrameTrace {
+            send_scene_us: 0,
+            render_us: frame.took.as_micros() as u64,
+            frame_us: frame.took.as_micros() as u64,
+            master_us_per_message: Some(1e6 * frame.master.as_secs_f64() / messages as f64),
+            messages: Some(messages),
+            tiles: frame.tiles.iter().map(TraceTile::from).collect(),
+        }],
+    };
+    let report = explain(&run).expect("a trace");
+    assert_eq!(
+        report.advice.change,
+        expected,
+        "{:?}, {:?}, {:?}",
+        report.shares.each(),
+        report.advice,
+        report.others
+    );
 }
 
 /// Xorshift (Marsaglia 2003).

@@ -380,7 +380,8 @@ impl<'a> World<'a> {
             let ns = if is_packed { self.plot.costs.coding_ns * f64::from(entry.pixel_bytes) } else { 0.0 };
             coding += ns;
             let form = if length < entry.pixel_bytes { TileCoding::Packed } else { TileCoding::Raw };
-            entries.push(TileEntry { length, coding: form, coding_us: (ns * 1e-3) as u32, ..*entry });
+            let us = (ns * 1e-3) as u32;
+            entries.push(TileEntry { length, coding: form, coding_us: us, waited_us: us, ..*entry });
         }
         let sent = BatchHeader { frame: header.frame, tiles: entries };
         let mut header_bytes = codec::encode(&sent).map_or(0, |bytes| bytes.len());
