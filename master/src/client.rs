@@ -241,6 +241,7 @@ fn result(summary: FrameSummary, pack: PackId) -> FrameResult<()> {
         backend: plain_text(&worker.backend),
         numeric_class: plain_text(&worker.numeric_class),
         note: plain_text(&worker.note),
+        round_trip: None,
         tiles: worker.tiles,
         render: Duration::from_micros(worker.render_us),
         bytes_returned: worker.bytes_returned,

@@ -363,6 +363,8 @@ pub struct WorkerReport {
     pub numeric_class: String,
     /// Its own word on the device and why it was chosen.
     pub note: String,
+    /// The shortest round trip to it, if the transport has measured one.
+    pub round_trip: Option<Duration>,
     /// Tiles of the image that came from it.
     pub tiles: u32,
     /// Wall time that it spent rendering those tiles, by its own clock.

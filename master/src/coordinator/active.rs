@@ -452,6 +452,7 @@ impl WorkerReport {
             backend: text(|a| &a.backend),
             numeric_class: text(|a| &a.numeric_class),
             note: text(|a| &a.note),
+            round_trip: None,
             tiles: 0,
             render: Duration::ZERO,
             bytes_returned: 0,

@@ -104,7 +104,8 @@ impl Coordinator {
 
     fn report_of(&self, worker: WorkerId) -> WorkerReport {
         let abilities = self.sessions.get(&worker).and_then(Session::abilities);
-        WorkerReport::new(self.name(worker).unwrap_or("?"), abilities, self.rejection(worker))
+        let new = WorkerReport::new(self.name(worker).unwrap_or("?"), abilities, self.rejection(worker));
+        WorkerReport { round_trip: self.known.shortest_round_trip_of(worker), ..new }
     }
 
     fn rejection(&self, worker: WorkerId) -> Option<&PackRefusal> {

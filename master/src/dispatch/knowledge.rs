@@ -9,7 +9,8 @@ pub struct Knowledge {
     costs: Option<CostMap>,
     /// Speeds of those that have rendered, 1 on the average.
     speeds: BTreeMap<WorkerId, f64>,
-    round_trips: BTreeMap<WorkerId, Duration>,
+    /// The last ones, and the shortest.
+    round_trips: BTreeMap<WorkerId, (Duration, Duration)>,
     /// Bytes a second of batches that came unhindered, and bytes of a frame on the wire.
     rate: Option<f64>,
     frame_bytes: f64,
@@ -56,7 +57,8 @@ impl Knowledge {
 
     /// A round trip to `worker` takes so long now.
     pub fn round_trip(&mut self, worker: WorkerId, time: Duration) {
-        self.round_trips.insert(worker, time);
+        let (last, shortest) = self.round_trips.entry(worker).or_insert((time, time));
+        (*last, *shortest) = (time, time.min(*shortest));
     }
 
     /// A batch of `bytes` came within `time` from the word that announced it. The fastest counts: others shared the link, or waited for a
@@ -87,7 +89,13 @@ impl Knowledge {
 
     /// Of a worker; zero while nothing is known.
     pub fn round_trip_of(&self, worker: WorkerId) -> Duration {
-        self.round_trips.get(&worker).copied().unwrap_or_default()
+        self.round_trips.get(&worker).map_or(Duration::ZERO, |(last, _)| *last)
+    }
+
+    /// Of a worker, the shortest that was ever measured: what the way takes while nothing stands in a queue. None while nothing is known, or in
+    /// this process.
+    pub fn shortest_round_trip_of(&self, worker: WorkerId) -> Option<Duration> {
+        self.round_trips.get(&worker).map(|(_, shortest)| *shortest).filter(|time| !time.is_zero())
     }
 
     /// Of a worker; the average while nothing is known.

@@ -4,7 +4,8 @@
 //!
 //! - **render**: a tile of the image was rendered.
 //! - **link**: the worker had nothing to render because of the way between it and the master. It had tiles, and those rendered before were
-//!   not sent yet; or a tile was on its way to it, or its word that it wants one; or all was rendered, and pixels were waiting or travelling.
+//!   not sent yet; or a tile was on its way to it, or its word that it wants one, or pixels before which the master handed out nothing; or all
+//!   was rendered, and pixels were waiting or travelling.
 //! - **imbalance**: others had tiles that they had not begun, and this one had none; or it rendered what another had rendered already.
 //! - **tail**: it waited for the last tile, which another was rendering.
 //! - **master**: the rest. The master had not handed out the next tile though it was asked, or was not done with what had come; the worker
@@ -136,7 +137,7 @@ impl OfWorker {
 impl Sums {
     fn add(&mut self, run: &RunTrace, frame: &FrameTrace) {
         let end = frame.frame_us;
-        let spans = place(frame, run.workers.len());
+        let spans = place(frame, &run.workers);
         let takes_part = |(k, spans): (usize, &WorkerSpans)| {
             !spans.tiles.is_empty() || run.workers.get(k).is_some_and(|worker| worker.lost.is_none())
         };
@@ -197,11 +198,16 @@ impl Sums {
             let Placed { index, assigned, begun, rendered, .. } = *placed;
             let (begun, rendered) = (begun.clamp(free, end.max(free)), rendered.clamp(free, end.max(free)));
             if assigned > free {
-                // It wanted a tile: its word travels, the master does something else, the tile's number travels.
+                // It wanted a tile: its word travels, the master does something else, the tile's number travels. While pixels that the worker
+                // has sent before are longer under way than a word takes, the word stands in line behind them, or the master waits for them.
                 let handed = assigned.min(begun);
                 let asked = length(free, handed).min(if k == 0 { 0.0 } else { spans.latency as f64 });
+                let waits = free + asked as u64;
+                let behind = spans.tiles[..k].iter().map(|before| before.received.clamp(waits, handed)).max();
+                let behind = length(waits, behind.unwrap_or(waits));
                 self.messages += asked + length(handed, begun);
-                self.master += length(free, handed) - asked;
+                self.transfers += behind;
+                self.master += length(free, handed) - asked - behind;
             } else {
                 // It had one. Either it may not go on before something is sent, or the tile has just come, or it is slow between two.
                 let cannot_send = spans.tiles[..k].iter().any(|before| before.sent > free);

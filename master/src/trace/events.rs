@@ -100,7 +100,7 @@ impl<'a> TraceFile<'a> {
             begin += frame.send_scene_us;
             let name = Cow::Owned(format!("frame {}", number + 1));
             events.span(name, [0, 1], begin, frame.frame_us, None);
-            let spans = place(frame, run.workers.len());
+            let spans = place(frame, &run.workers);
             for (worker, spans) in spans.iter().enumerate() {
                 events.worker(worker, spans, begin, frame.frame_us, &frame.tiles);
             }

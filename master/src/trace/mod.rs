@@ -43,6 +43,9 @@ pub struct TraceWorker {
     /// How fast it is beside the others, if that is known from elsewhere.
     #[serde(default)]
     pub speed: Option<f64>,
+    /// The shortest round trip to it, if it was measured.
+    #[serde(default)]
+    pub round_trip_us: Option<u64>,
     /// Why it was lost, or had no part, if so.
     #[serde(default)]
     pub lost: Option<String>,
@@ -107,6 +110,7 @@ impl RunTrace {
         let worker = |worker: &crate::WorkerReport| TraceWorker {
             name: worker.name.clone(),
             speed: None,
+            round_trip_us: worker.round_trip.map(micros),
             lost: worker.lost.clone().or_else(|| worker.rejected.clone()),
         };
         Self {

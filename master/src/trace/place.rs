@@ -1,6 +1,6 @@
 //! Workers' times on the master's clock.
 
-use super::FrameTrace;
+use super::{FrameTrace, TraceWorker};
 
 /// A tile on the master's clock, in microseconds from the frame's begin: each time is at or after the one before it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -28,27 +28,30 @@ pub struct WorkerSpans {
     pub latency: u64,
 }
 
-/// Places the tiles of each of `workers` workers on the master's clock.
+/// Places the tiles of each of `workers` on the master's clock.
 ///
 /// Their clocks have no common zero, and none is needed: a renderer says how long it was idle before each tile, so that its tiles lie fast
 /// to each other, and as a whole they can be moved. They cannot be earlier than the first of them would begin before it was handed
 /// out, nor later than one of them would come before it was sent. Between these ends lies a message's way to the worker and one back,
-/// and the middle makes both equally long: what the Network Time Protocol assumes too. Where tiles do not lie fast (one was stopped, of which
+/// and the middle makes both equally long: what the Network Time Protocol assumes too. (If a round trip was measured, a way takes half of it at
+/// most, and what is longer on the way back is pixels' time.) Where tiles do not lie fast (one was stopped, of which
 /// nothing is told, or several are rendered at a time) the same limits are kept tile by tile, and what does not fit between is cut.
-pub fn place(frame: &FrameTrace, workers: usize) -> Vec<WorkerSpans> {
-    let mut spans = vec![WorkerSpans::default(); workers];
+pub fn place(frame: &FrameTrace, workers: &[TraceWorker]) -> Vec<WorkerSpans> {
+    let mut spans = vec![WorkerSpans::default(); workers.len()];
     for (index, tile) in frame.tiles.iter().enumerate() {
         let placed = Placed { index, assigned: tile.assigned_us, ..Placed::default() };
         // (A trace that was checked names workers that are there.)
         spans.extend((spans.len()..=tile.worker).map(|_| WorkerSpans::default()).collect::<Vec<_>>());
         spans[tile.worker].tiles.push(placed);
     }
-    spans.iter_mut().for_each(|worker| worker.place(frame));
+    for (number, spans) in spans.iter_mut().enumerate() {
+        spans.place(frame, workers.get(number).and_then(|worker| worker.round_trip_us));
+    }
     spans
 }
 
 impl WorkerSpans {
-    fn place(&mut self, frame: &FrameTrace) {
+    fn place(&mut self, frame: &FrameTrace, round_trip_us: Option<u64>) {
         let tile = |placed: &Placed| &frame.tiles[placed.index];
         // Find between which shifts of the whole all fit.
         let (mut now, mut earliest, mut latest) = (0_i64, i64::MIN, i64::MAX);
@@ -63,8 +66,9 @@ impl WorkerSpans {
         if self.tiles.is_empty() {
             return;
         }
-        let shift = earliest.midpoint(latest.max(earliest));
-        self.latency = (latest.saturating_sub(earliest).max(0) / 2) as u64;
+        let slack = latest.saturating_sub(earliest).max(0) as u64;
+        self.latency = (slack / 2).min(round_trip_us.map_or(u64::MAX, |time| time / 2));
+        let shift = earliest.saturating_add_unsigned(self.latency);
         // Move it there; where something does not fit, tile by tile.
         let mut free = 0_i64;
         let mut at = shift;
@@ -99,7 +103,7 @@ mod tests {
     }
 
     fn placed(tiles: Vec<TraceTile>) -> WorkerSpans {
-        place(&FrameTrace { tiles, ..FrameTrace::default() }, 1).remove(0)
+        place(&FrameTrace { tiles, ..FrameTrace::default() }, &[TraceWorker::default()]).remove(0)
     }
 
     #[test]
@@ -110,6 +114,16 @@ mod tests {
         let [first, second] = spans.tiles[..] else { panic!("two tiles") };
         assert_eq!((first.begun, first.rendered, first.sent, first.received), (10, 110, 115, 125));
         assert_eq!((second.begun, second.rendered, second.sent, second.received), (117, 167, 172, 182));
+    }
+
+    #[test]
+    fn beyond_a_measured_round_trip_it_is_pixels_that_take_time() {
+        // 10 there, 100 of rendering, 90 back: half of 100 would be wrong.
+        let frame = FrameTrace { tiles: vec![tile(0, 0, 100, 0, 200)], ..FrameTrace::default() };
+        let worker = TraceWorker { round_trip_us: Some(20), ..TraceWorker::default() };
+        let spans = place(&frame, &[worker]).remove(0);
+        let tile = spans.tiles[0];
+        assert_eq!((spans.latency, tile.begun, tile.sent, tile.received), (10, 10, 110, 200));
     }
 
     #[test]
@@ -127,7 +141,7 @@ mod tests {
 
     #[test]
     fn a_worker_without_tiles_has_no_spans() {
-        let spans = place(&FrameTrace::default(), 3);
+        let spans = place(&FrameTrace::default(), &vec![TraceWorker::default(); 3]);
         assert!(spans.len() == 3 && spans.iter().all(|worker| worker.tiles.is_empty()));
     }
 }

@@ -264,6 +264,7 @@ fn check(
     let plot = Plot { link, speeds, cost, coded: &coded, job, frames: 2, costs, faults: &[] };
     let frame = simulate(&plot).expect("frames end").remove(1);
     let messages = 2 * u64::from(frame.count);
+    let round_trip_us = Some((2e3 * link.latency_ms) as u64);
     let run = RunTrace {
         version: RunTrace::VERSION,
         scene: "planted".into(),
@@ -273,7 +274,7 @@ fn check(
         size: [job.width, job.height],
         tile: frame.tile,
         workers: (0..speeds.len())
-            .map(|i| TraceWorker { name: format!("w{i}"), ..TraceWorker::default() })
+            .map(|i| TraceWorker { name: format!("w{i}"), round_trip_us, ..TraceWorker::default() })
             .collect(),
         frames: vec![FrameTrace {
             send_scene_us: 0,
