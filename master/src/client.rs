@@ -1,8 +1,8 @@
 //! A client of a master elsewhere: what [`crate::Cluster`] is to workers of its own.
 
 use crate::{
-    ClassDifference, ClassPart, FrameBuffer, FrameJob, FrameResult, OutputError, PngStream, Progress,
-    Timings, Traffic, WorkerReport,
+    ClassDifference, ClassPart, FrameBuffer, FrameJob, FrameResult, MasterWork, OutputError, PngStream,
+    Progress, Timings, Traffic, WorkerReport,
     image::NoRoom,
     transport::{PipeError, Pipes, read_message, reason, write_message, write_pack},
 };
@@ -270,6 +270,7 @@ fn result(summary: FrameSummary, pack: PackId) -> FrameResult<()> {
         workers: summary.workers.into_iter().map(worker).collect(),
         timings: Timings { send_scene, render, return_, frame },
         traffic: Traffic { sent, received, udp_sent, udp_received },
+        master: MasterWork::default(),
         rays: summary.rays,
         dropped_tiles: summary.dropped_tiles,
         coding: Coding::Raw,

@@ -3,7 +3,7 @@
 mod sequence;
 
 use crate::{
-    FrameJob, FrameResult, Link, OutputError, PngStream, Progress, Timings, Traffic,
+    FrameJob, FrameResult, Link, MasterWork, OutputError, PngStream, Progress, Timings, Traffic,
     admission::{Admission, Admitted},
     coding::{CodingChoice, Shown},
     coordinator::{BeginError, Coordinator, Event, FrameStatus, Outcome, Output},
@@ -113,6 +113,8 @@ pub struct Cluster {
     send_scene: Duration,
     /// How pixels travel where that is left to us.
     coding: CodingChoice,
+    /// What was done since the last result.
+    work: MasterWork,
     /// Name and reason of the worker that was lost last.
     last_lost: String,
 }
@@ -280,6 +282,7 @@ impl Cluster {
         let pack = self.pack.ok_or(RenderError::NoPack)?;
         self.measure_links();
         let job = &self.coded(job);
+        self.work = MasterWork::default();
         let frame = self.coordinator.begin(job, self.now())?;
         let outcome = self.run(frame, job, None, &mut progress).await?;
         Ok(self.result(pack, outcome))
@@ -297,6 +300,7 @@ impl Cluster {
         let pack = self.pack.ok_or(RenderError::NoPack)?;
         self.measure_links();
         let job = &self.coded(job);
+        self.work = MasterWork::default();
         let frame = self.coordinator.begin_rows(job, self.now())?;
         let outcome = self.run(frame, job, Some(stream), &mut progress).await?;
         let (result, rest) = self.result(pack, outcome).with_image(());
@@ -401,6 +405,7 @@ impl Cluster {
             packs: Vec::new(),
             send_scene: Duration::ZERO,
             coding: CodingChoice::default(),
+            work: MasterWork::default(),
             last_lost: String::new(),
         }
     }
@@ -495,10 +500,15 @@ impl Cluster {
             None => self.inputs.recv().await,
         };
         // Inputs that wait come before a deadline that has passed meanwhile: they may meet it.
+        let begun = Instant::now();
         match next {
-            Some(input) => self.take(input),
+            Some(input) => {
+                self.take(input);
+                self.work.messages += 1;
+            }
             None => self.coordinator.tick(self.now()),
         }
+        self.work.busy += begun.elapsed();
     }
 
     fn take(&mut self, input: Input) {
@@ -557,6 +567,7 @@ impl Cluster {
 
     /// Does what the coordinator wants, and hands on its events.
     fn carry_out(&mut self) -> Vec<Event> {
+        let begun = Instant::now();
         while self.farewells.try_join_next().is_some() {}
         // Those that were told of in the events before.
         self.lines.retain(|_, line| !line.is_closed());
@@ -564,6 +575,7 @@ impl Cluster {
         while let Some(output) = self.coordinator.poll() {
             match output {
                 Output::Send(worker, message) => {
+                    self.work.messages += 1;
                     if let Some(line) = self.lines.get(&worker) {
                         line.send(message);
                     }
@@ -593,6 +605,7 @@ impl Cluster {
                 }
             }
         }
+        self.work.busy += begun.elapsed();
         events
     }
 
@@ -675,6 +688,7 @@ impl Cluster {
             workers: outcome.workers,
             timings: Timings { send_scene: self.send_scene, ..outcome.timings },
             traffic: self.traffic(),
+            master: std::mem::take(&mut self.work),
             rays: outcome.rays,
             dropped_tiles: outcome.dropped_tiles,
             coding: outcome.coding,

@@ -234,6 +234,8 @@ pub struct FrameResult<I = FrameBuffer> {
     pub timings: Timings,
     /// Bytes on the wire since the cluster started, or for a client since its frame's turn came: handshake, pack, frames.
     pub traffic: Traffic,
+    /// What the master's thread did for it: since the result before, if frames overlap. Nothing is known of a master elsewhere.
+    pub master: MasterWork,
     /// Rays of the image: each tile counted once, however often it was rendered.
     pub rays: Rays,
     /// Results that came twice or too late, or of a class that was lost, and were dropped.
@@ -246,6 +248,15 @@ pub struct FrameResult<I = FrameBuffer> {
     pub tile: u32,
     /// Why it was balanced as it was; of `auto`, and not of a master elsewhere.
     pub why: Option<String>,
+}
+
+/// What the thread that leads the cluster has done. Others beside it receive, decrypt and unpack.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MasterWork {
+    /// How long it was at work.
+    pub busy: Duration,
+    /// Messages that it took and sent; a tile's result is one.
+    pub messages: u64,
 }
 
 /// Where the time of a tile went. Times of the master's clock count from the frame's begin, those of the worker's are lengths alone.
@@ -289,6 +300,7 @@ impl<I> FrameResult<I> {
             workers,
             timings,
             traffic,
+            master,
             rays,
             dropped_tiles,
             coding,
@@ -305,6 +317,7 @@ impl<I> FrameResult<I> {
             workers,
             timings,
             traffic,
+            master,
             rays,
             dropped_tiles,
             coding,

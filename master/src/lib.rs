@@ -40,7 +40,8 @@ pub use cluster::{
 pub use difference::Difference;
 pub use dispatch::Balance;
 pub use frame::{
-    ClassDifference, ClassPart, FrameJob, FrameResult, Progress, TileRecord, Timings, Traffic, WorkerReport,
+    ClassDifference, ClassPart, FrameJob, FrameResult, MasterWork, Progress, TileRecord, Timings, Traffic,
+    WorkerReport,
 };
 pub use image::{FrameBuffer, ImageHash, ImageHasher, PixelFormat};
 pub use net::UdpBuffers;

@@ -232,10 +232,11 @@ impl FrameQueue<'_> {
             if of_group >= depth as usize || self.under_way.len() >= 2 * (groups * depth) as usize {
                 return Ok(());
             }
+            self.cluster.measure_links();
+            let job = self.cluster.coded(&next.job);
             let now = self.cluster.now();
-            self.cluster.counters.tile_bytes.fetch_max(next.job.tile_bytes(), Ordering::Relaxed);
-            let frame =
-                self.cluster.coordinator.begin_in(&next.job, Group { index: group, count: groups }, now);
+            self.cluster.counters.tile_bytes.fetch_max(job.tile_bytes(), Ordering::Relaxed);
+            let frame = self.cluster.coordinator.begin_in(&job, Group { index: group, count: groups }, now);
             let frame = match frame {
                 Err(BeginError::Full) if unfinished.count() > 0 => return Ok(()),
                 frame => frame?,

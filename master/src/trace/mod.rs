@@ -6,7 +6,7 @@ mod place;
 pub use events::{Event, TraceFile};
 pub use place::{Placed, WorkerSpans, place};
 
-use crate::{FrameJob, FrameResult, TileRecord};
+use crate::{FrameJob, FrameResult, MasterWork, TileRecord};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -171,12 +171,13 @@ impl FrameTrace {
     /// Of one frame; to be added to the frames of a run with the same workers. The scene is sent once: of later frames that time is to be left out.
     pub fn of<I>(result: &FrameResult<I>) -> Self {
         let timings = &result.timings;
+        let MasterWork { busy, messages } = result.master;
         Self {
             send_scene_us: micros(timings.send_scene),
             render_us: micros(timings.render),
             frame_us: micros(timings.frame),
-            master_us_per_message: None,
-            messages: None,
+            master_us_per_message: (messages > 0).then(|| 1e6 * busy.as_secs_f64() / messages as f64),
+            messages: (messages > 0).then_some(messages),
             tiles: result.tiles.iter().map(TraceTile::from).collect(),
         }
     }
