@@ -12,7 +12,7 @@ use tessera_master::{
 };
 use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
 use tessera_wire::{
-    Adaptive, Coding, Features, FrameError, FrameId, LocalTicket, PackRefusal, Refusal, Sampler, Sampling,
+    Adaptive, Coding, FrameError, FrameId, LocalTicket, PackRefusal, Refusal, Sampler, Sampling,
 };
 use tessera_worker::gpu::probe::cpu_frame;
 use tessera_worker::{
@@ -52,19 +52,15 @@ pub fn job(pack: &Pack, balance: Balance) -> FrameJob {
     let frame = pack.frame();
     let origin = frame.to_local(tessera_geometry::DVec3::new(0.2, 0.1, 3.0));
     FrameJob {
-        camera: LocalCamera { origin, forward: -Vec3::Z, right: Vec3::X * 0.6, up: Vec3::Y * 0.4 },
-        width: 150,
-        height: 100,
         tile: 32,
-        samples: 1,
-        sampling: Default::default(),
         depth: 2,
-        seed: 0,
-        features: Features::default(),
         format: PixelFormat::Layers,
         balance,
-        mix: false,
-        coding: None,
+        ..FrameJob::new(
+            LocalCamera { origin, forward: -Vec3::Z, right: Vec3::X * 0.6, up: Vec3::Y * 0.4 },
+            150,
+            100,
+        )
     }
 }
 

@@ -10,7 +10,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use tessera_master::{
-    Balance, Cluster, ClusterConfig, Detour, FrameBuffer, FrameJob, LocalWorkers, PixelFormat, Workers,
+    Balance, Cluster, ClusterConfig, Detour, FrameBuffer, FrameJob, FrameResult, LocalWorkers, PixelFormat,
+    Workers,
 };
 use tessera_worker::{Recording, RecordingFile};
 
@@ -167,18 +168,23 @@ async fn a_cpu_that_is_made_to_seem_slower_makes_the_same_picture() {
             through: None,
         })
     };
-    let mut results = Vec::new();
-    for args in [&["--backend", "cpu"][..], &["--pace", "0.05"]] {
+    let mut results: Vec<FrameResult> = Vec::new();
+    // Of the unhindered one the fastest of several counts: on a busy machine wall time is more than CPU time.
+    for (args, frames) in [(&["--backend", "cpu"][..], 6), (&["--pace", "0.05"], 1)] {
         let mut cluster = Cluster::start(workers(args), ClusterConfig::default()).await.expect("it joins");
         cluster.load(&pack(), |_| ()).await.expect("it takes the pack");
         let job = FrameJob { samples: 16, ..job(&pack(), Balance::Dynamic) };
-        results.push(cluster.render(&job, |_| ()).await.expect("it is well"));
+        let mut all = Vec::new();
+        for _ in 0..frames {
+            all.push(cluster.render(&job, |_| ()).await.expect("it is well"));
+        }
+        results.extend(all.into_iter().min_by_key(|result| result.workers[0].render));
         cluster.stop().await;
     }
     assert_eq!(results[0].image, results[1].image);
     let render = |i: usize| results[i].workers.iter().map(|w| w.render).sum::<std::time::Duration>();
-    // 20 times the CPU time, which wall time exceeds on a busy machine.
-    assert!(render(1) > render(0), "{:?} and {:?}", render(1), render(0));
+    // 20 times the CPU time.
+    assert!(render(1) > 8 * render(0), "{:?} and {:?}", render(1), render(0));
 }
 
 /// One run: figures of the relay beside those of its link, with room for a busy machine below and none above.

@@ -27,6 +27,7 @@ mod pixels;
 mod processes;
 mod rays;
 mod referee;
+mod scale;
 mod scenes;
 mod sequence;
 mod service;

@@ -244,6 +244,19 @@ fn what_is_wrong_with_a_sequence_is_said_in_one_line() {
     check(&["--out", "f-%d.png", "--path", "a", "--newest"], &["cannot be used with"]);
     check(&["--out", "f-%d.png", "--frames", "2", "--give-up"], &["cannot be used with"]);
     check(&["--out", "f-%d.png", "--newest"], &["--poses"]);
+    check(
+        &["--out", "f-%d.png", "--path", "a", "--trace", "t.json"],
+        &["--trace and --overlay", "one frame's"],
+    );
+    check(&["--out", "f.png", "--groups", "2"], &["--groups is for many frames"]);
+    check(&["--out", "f.png", "--ahead", "1"], &["--ahead is for many frames"]);
+    let join = "tessera:127.0.0.1:1";
+    check(
+        &["--out", "f-%d.png", "--path", "a", "--master", join, "--ahead", "1"],
+        &["--ahead", "one after the other"],
+    );
+    let newest = ["--out", "f-%d.png", "--poses", "-", "--newest", "--give-up", "--master", join];
+    check(&newest, &["--give-up", "seen to its end"]);
     check(&["--out", "f-%d.png", "--frames", "2", "--fps", "0"], &["--fps"]);
 }
 

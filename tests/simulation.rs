@@ -10,8 +10,8 @@ use tessera_geometry::{LocalCamera, Vec3};
 use tessera_master::coordinator::{Coordinator, Event, FrameStatus, Outcome, Output};
 use tessera_master::{Balance, FrameJob, PixelFormat};
 use tessera_wire::{
-    Abilities, AbortCode, Attempt, Features, FrameId, Hello, PackId, Rays, Rect, ReturnMode, Role, TileEntry,
-    TileId, ToMaster, ToWorker, Token, Version, WorkerId, limits,
+    Abilities, AbortCode, Attempt, FrameId, Hello, PackId, Rays, Rect, ReturnMode, Role, TileEntry, TileId,
+    ToMaster, ToWorker, Token, Version, WorkerId, limits,
 };
 use tessera_worker::session::{Action, Batch, Ending, RenderTask, RenderedTile, Session, TileName};
 
@@ -21,6 +21,7 @@ const PACK_BYTES: u64 = 1000;
 #[test]
 fn every_frame_is_complete_for_every_seed() {
     let (mut lost, mut dropped, mut joined, mut helped, mut ahead) = (0, 0, 0, 0, 0);
+    let mut balances = BTreeSet::new();
     for seed in 0..4000 {
         let mut world = World::new(seed, true);
         for pack in [None, None, Some(PACKS[1]), Some(PACKS[0])] {
@@ -29,6 +30,7 @@ fn every_frame_is_complete_for_every_seed() {
                 world.load(pack);
             }
             let job = world.random_job();
+            balances.insert(job.balance.name());
             let outcome =
                 world.render(&job).unwrap_or_else(|status| panic!("seed {seed}: {status:?}, {job:?}"));
             check_frame(seed, &job, &outcome);
@@ -40,6 +42,7 @@ fn every_frame_is_complete_for_every_seed() {
         ahead += usize::from(world.most_in_hand == 3);
     }
     // The seeds do what they are for.
+    assert_eq!(balances.len(), Balance::ALL.len());
     assert!(lost > 4000, "{lost} workers were lost");
     assert!(dropped > 4000, "{dropped} results came twice or too late");
     assert!(joined > 4000, "{joined} workers took part in a frame that had begun");
@@ -53,8 +56,19 @@ fn workers_that_are_well_render_nothing_twice() {
         let mut world = World::new(seed, false);
         let job = world.random_job();
         let outcome = world.render(&job).expect("all are well");
-        assert_eq!((outcome.dropped_tiles, world.shared_tiles), (0, 0), "seed {seed}");
+        let found = (outcome.dropped_tiles, world.shared_tiles);
+        if renders_twice(job.balance) {
+            // Half of all that is rendered at most.
+            assert!(outcome.dropped_tiles <= u64::from(outcome.count), "seed {seed}: {found:?}");
+        } else {
+            assert_eq!(found, (0, 0), "seed {seed}");
+        }
     }
+}
+
+/// Whether those that idle render tiles of others that are well, if they are likely to be done with them earlier.
+fn renders_twice(balance: Balance) -> bool {
+    matches!(balance, Balance::Dynamic | Balance::Steal | Balance::Auto)
 }
 
 #[test]
@@ -517,7 +531,8 @@ impl World {
                     self.happen(happening);
                 }
                 (_, deadline) => {
-                    self.now = deadline.expect("the earlier one");
+                    // What a frame was to do while it waited for another is due when its turn comes.
+                    self.now = self.now.max(deadline.expect("the earlier one"));
                     self.coordinator.tick(self.now);
                 }
             }
@@ -748,19 +763,10 @@ impl World {
         let side = |world: &mut Self| [1, 7, 32, 33, 64, 100][world.below(6) as usize];
         let camera = LocalCamera { origin: Vec3::ZERO, forward: -Vec3::Z, right: Vec3::X, up: Vec3::Y };
         FrameJob {
-            camera,
-            width: side(self),
-            height: side(self),
             tile: [4, 8, 16, 31, 200][self.below(5) as usize],
-            samples: 1,
-            sampling: Default::default(),
             depth: 4,
-            seed: 0,
-            features: Features::default(),
-            format: PixelFormat::Rgba8,
-            balance: Balance::ALL[self.below(4) as usize],
-            mix: false,
-            coding: None,
+            balance: Balance::ALL[self.below(Balance::ALL.len() as u64) as usize],
+            ..FrameJob::new(camera, side(self), side(self))
         }
     }
 

@@ -2,11 +2,11 @@
 
 use crate::stage::{Stage, chalk, glass, look, mirror, one_sided, point_light};
 use crate::support::gpu;
-use tessera_master::{Balance, FrameJob};
+use tessera_master::FrameJob;
 use tessera_pack::{Forced, ImageInput, Material, MaterialFlags, Pack, PackOptions, build_pack};
 use tessera_whitted::PixelFormat;
 use tessera_whitted::variant::{Part, Variant};
-use tessera_wire::{Features, Frame, FrameId, PackId};
+use tessera_wire::{Frame, FrameId, PackId};
 use tessera_worker::gpu::GpuOptions;
 use tessera_worker::gpu::probe::GpuProbe;
 
@@ -34,23 +34,13 @@ fn frame(pack: &Pack) -> Frame {
 fn frame_as(pack: &Pack, format: PixelFormat) -> Frame {
     let params = look([0.3, 0.6, 5.0], [0.0; 3]).sized(SIDE, SIDE).params(pack, format);
     let job = FrameJob {
-        camera: params.camera,
-        width: SIDE,
-        height: SIDE,
         tile: SIDE,
-        samples: 1,
-        sampling: Default::default(),
-        depth: 8,
-        seed: 0,
-        features: Features::default(),
         format: match format {
             PixelFormat::Rgba8 => tessera_wire::PixelFormat::Rgba8,
             PixelFormat::Rgba16 => tessera_wire::PixelFormat::Rgba16,
             PixelFormat::Layers => tessera_wire::PixelFormat::Layers,
         },
-        balance: Balance::default(),
-        mix: false,
-        coding: None,
+        ..FrameJob::new(params.camera, SIDE, SIDE)
     };
     job.to_wire(FrameId(1), PackId(pack.id().0))
 }

@@ -4,13 +4,13 @@ use crate::support::{Folder, PLY, Tessera};
 use std::collections::BTreeSet;
 use std::time::Duration;
 use tessera_master::prepare::{PrepareOptions, Prepared, prepare_scene};
-use tessera_master::{Balance, FrameBuffer, FrameJob, PixelFormat};
+use tessera_master::{FrameBuffer, FrameJob, PixelFormat};
 use tessera_pack::Forced;
 use tessera_quantize::NormalTable;
 use tessera_scene::Without;
 use tessera_scene::generate::{Kind, Recipe, generate};
 use tessera_whitted::Needs;
-use tessera_wire::{Features, FrameId, PackId};
+use tessera_wire::{FrameId, PackId};
 use tessera_worker::Kernel;
 use tessera_worker::gpu::probe::cpu_frame_with;
 
@@ -21,19 +21,13 @@ fn hashes(prepared: &Prepared, kernel: Kernel, forced: Needs) -> [String; 3] {
     let pack = &prepared.pack;
     [PixelFormat::Rgba8, PixelFormat::Rgba16, PixelFormat::Layers].map(|format| {
         let job = FrameJob {
-            camera: prepared.cameras[0].pose.to_local(&pack.frame(), SIDE, SIDE).expect("a usable pose"),
-            width: SIDE,
-            height: SIDE,
             tile: SIDE,
-            samples: 1,
-            sampling: Default::default(),
-            depth: 8,
-            seed: 0,
-            features: Features::default(),
             format,
-            balance: Balance::default(),
-            mix: false,
-            coding: None,
+            ..FrameJob::new(
+                prepared.cameras[0].pose.to_local(&pack.frame(), SIDE, SIDE).expect("a usable pose"),
+                SIDE,
+                SIDE,
+            )
         };
         let (pixels, _) = cpu_frame_with(pack, kernel, forced, &job.to_wire(FrameId(1), PackId(pack.id().0)));
         FrameBuffer::from_rows(SIDE, SIDE, format, pixels).expect("a frame").hash().to_string()

@@ -311,6 +311,9 @@ impl Cluster {
     /// Forgets what frames have shown of workers, tiles and links, as a cluster that has just been started.
     pub fn forget(&mut self) {
         self.coordinator.forget();
+        self.coding = CodingChoice::default();
+        self.counters.arrival.take();
+        self.counters.unpacking.take();
     }
 
     /// Tells the coordinator what round trips take now.

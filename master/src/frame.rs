@@ -41,6 +41,26 @@ impl FrameJob {
     /// Side of a tile unless something else is known: the best in most of the measurements of Seo, Park, Ihm 2022.
     pub const TILE: u32 = 128;
 
+    /// A view with nothing special about it: one sample in the middle of a pixel, 8 reflections and refractions, everything switched on, a
+    /// displayable picture, tiles of [`FrameJob::TILE`], the default balancing.
+    pub fn new(camera: LocalCamera, width: u32, height: u32) -> Self {
+        Self {
+            camera,
+            width,
+            height,
+            tile: Self::TILE,
+            samples: 1,
+            sampling: Sampling::default(),
+            depth: 8,
+            seed: 0,
+            features: Features::default(),
+            format: PixelFormat::Rgba8,
+            balance: Balance::default(),
+            mix: false,
+            coding: None,
+        }
+    }
+
     /// The job as a message.
     pub fn to_wire(&self, frame: FrameId, pack: tessera_wire::PackId) -> Frame {
         let Self { camera, width, height, tile, samples, sampling, depth, seed, features, format, .. } =

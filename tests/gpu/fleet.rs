@@ -3,8 +3,7 @@
 use super::pretend::small;
 use super::with_other;
 use crate::cluster::{config, worker};
-use tessera_master::{Balance, Cluster, ClusterConfig, FrameJob, PixelFormat, Workers};
-use tessera_wire::Features;
+use tessera_master::{Balance, Cluster, ClusterConfig, FrameJob, Workers};
 use tessera_worker::{Backend, BackendChoice, BackendConfig, WorkerConfig};
 
 /// One picture on one adapter, whoever renders which tile: to the bit.
@@ -24,19 +23,12 @@ fn a_frame_has_one_hash_for_any_number_of_workers_and_every_balancing() {
         let mut hashes = Vec::new();
         for (workers, balance) in (1..=8).flat_map(|count| Balance::ALL.map(|balance| (count, balance))) {
             let job = FrameJob {
-                camera: params.camera,
-                width: params.width,
-                height: params.height,
                 tile: if workers % 2 == 0 { 32 } else { 48 },
                 samples: 2,
-                sampling: Default::default(),
                 depth: 4,
                 seed: 7,
-                features: Features::default(),
-                format: PixelFormat::Rgba8,
                 balance,
-                mix: false,
-                coding: None,
+                ..FrameJob::new(params.camera, params.width, params.height)
             };
             let result = runtime.block_on(async {
                 let (links, served): (Vec<_>, Vec<_>) = (0..workers)

@@ -40,10 +40,13 @@ fn overlapping_frames_of_workers_that_are_well_render_nothing_twice() {
         let (groups, depth) = (1 + world.below(3) as u32, 1 + world.below(3) as usize);
         let jobs: Vec<_> = (1..=5).map(|seed| FrameJob { seed, ..world.random_job() }).collect();
         let (outcomes, _) = world.render_all(&jobs, groups, depth);
+        // (What comes of a frame that is over is counted in the next.)
+        let mut may_be_dropped = depth > 1;
         for (job, outcome) in jobs.iter().zip(&outcomes) {
             check_frame(seed, job, outcome);
             // Only who idles in a frame while another is at an earlier one may take a tile of it as well.
-            assert!(outcome.dropped_tiles == 0 || depth > 1, "seed {seed}");
+            may_be_dropped |= renders_twice(job.balance);
+            assert!(outcome.dropped_tiles == 0 || may_be_dropped, "seed {seed}: {}", job.balance);
         }
         assert_eq!(world.lost, []);
     }

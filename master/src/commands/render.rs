@@ -208,6 +208,14 @@ pub fn run(args: RenderArgs, progress: &Progress) -> Result<(), CommandError> {
             "--report and --error-against are of one picture; leave them out of a sequence, or --frames, --path and --poses".into(),
         ));
     }
+    if is_sequence && (frame.trace.is_some() || !frame.overlay.is_empty()) {
+        return Err(CommandError::Usage(
+            "--trace and --overlay show where one frame's time went, and those of a sequence share it; leave them out, or --frames, --path and \
+             --poses"
+                .into(),
+        ));
+    }
+    sequence.check(master.is_some()).map_err(CommandError::Usage)?;
     // Names that the pattern has no place for are found out before the scene is read.
     let first = if is_sequence { sequence.first_file(&out)? } else { out.clone() };
     let crew = match master {

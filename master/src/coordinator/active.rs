@@ -4,7 +4,9 @@ use super::{BeginError, Group, Outcome};
 use crate::{
     ClassDifference, ClassPart, FrameJob, TileRecord, Timings, WorkerReport,
     bands::{Canvas, Fault},
-    dispatch::{Assignment, Check, Checks, Dispatch, Knowledge, Seen, Shown, View, Violation, choose, plan},
+    dispatch::{
+        Assignment, Check, Checks, Dispatch, Knowledge, Look, Seen, Shown, View, Violation, choose, plan,
+    },
     image::NoRoom,
 };
 use std::{
@@ -13,7 +15,8 @@ use std::{
     time::Duration,
 };
 use tessera_wire::{
-    Abilities, Frame, FrameId, PackRefusal, Rays, TileEntry, TileGrid, TileId, ToWorker, WorkerId, limits,
+    Abilities, Attempt, Frame, FrameId, PackRefusal, Rays, TileEntry, TileGrid, TileId, ToWorker, WorkerId,
+    limits,
 };
 
 #[derive(Debug)]
@@ -45,6 +48,8 @@ pub(super) struct Active {
     image: Canvas,
     rays: Rays,
     tiles: Vec<TileRecord>,
+    /// Of which tiles and attempts.
+    returned: BTreeSet<(TileId, Attempt)>,
     /// Who began it.
     crew: Vec<WorkerId>,
     /// By worker, its last word that tiles are rendered, and bytes that have come since.
@@ -93,6 +98,7 @@ impl Active {
             image,
             rays: Rays::default(),
             tiles: Vec::new(),
+            returned: BTreeSet::new(),
             crew: Vec::new(),
             words: BTreeMap::new(),
             origins: BTreeMap::new(),
@@ -121,6 +127,7 @@ impl Active {
         self.image.restart();
         (self.rays, self.alone) = (Rays::default(), None);
         self.tiles.clear();
+        self.returned.clear();
         self.words.clear();
         self.due.clear();
         self.cancelling.clear();
@@ -141,7 +148,9 @@ impl Active {
 
     /// What the frame has shown of its workers and tiles.
     pub(super) fn teach(&self, known: &mut Knowledge) {
-        let Some((completed, _)) = self.completed else { return };
+        let Some((completed, _)) = self.completed.filter(|_| known.is_of(Look::from(&self.frame))) else {
+            return;
+        };
         let shown = |record: &TileRecord| {
             let &(worker, _) = self.reports.get(record.worker)?;
             Some(Shown { tile: record.tile, worker, render: record.render })
@@ -251,7 +260,9 @@ impl Active {
             .map_err(|violation| violation.to_string())?;
         let since_begin = |time: Duration| time.saturating_sub(self.begun);
         let assigned = self.dispatch.assigned_at(entry.tile, entry.attempt);
-        self.tiles.extend(place.map(|worker| TileRecord {
+        // A worker that sends one again and again does not fill the report.
+        let is_new = self.returned.insert((entry.tile, entry.attempt));
+        self.tiles.extend(place.filter(|_| is_new).map(|worker| TileRecord {
             tile: entry.tile,
             attempt: entry.attempt,
             worker,

@@ -3,7 +3,7 @@
 use super::{Active, BeginError, Coordinator, Event, Group, Output};
 use crate::{
     FrameJob, WorkerReport,
-    dispatch::{fastest, tile_side},
+    dispatch::{Look, fastest, tile_side},
     session::Session,
 };
 use std::{collections::BTreeSet, time::Duration};
@@ -18,10 +18,12 @@ impl Coordinator {
         now: Duration,
     ) -> Result<FrameId, BeginError> {
         let id = FrameId(self.frames_begun + 1);
+        let pack = self.pack.map_or(PackId([0; 32]), |offer| offer.pack);
+        self.known.look_at(Look::from(&job.to_wire(id, pack)));
         let (holders, mean) = (self.holders().count(), self.known.mean_tile());
         let side = || tile_side(job.width, job.height, holders, mean);
         let job = &FrameJob { tile: if job.tile == 0 { side() } else { job.tile }, ..job.clone() };
-        let frame = job.to_wire(id, self.pack.map_or(PackId([0; 32]), |offer| offer.pack));
+        let frame = job.to_wire(id, pack);
         let mut active = Active::new(frame, job, gives_rows, now)?;
         let class = self.fastest_class().filter(|_| !job.mix);
         let crew = self.crew(class.as_deref());
@@ -138,9 +140,7 @@ impl Coordinator {
     fn adopt(&mut self, at: usize, workers: Vec<WorkerId>, now: Duration) {
         let at = self.renumber(at);
         self.frames[at].group = None;
-        for worker in workers {
-            self.take_on(at, worker, now);
-        }
+        self.take_on(at, &workers, now);
     }
 
     /// A frame that has lost the last worker of its class goes to another class: from its first tile on, so that no picture mixes
@@ -168,16 +168,20 @@ impl Coordinator {
         self.frames.len() - 1
     }
 
-    /// `worker` takes part in a frame from now on.
-    fn take_on(&mut self, at: usize, worker: WorkerId, now: Duration) {
-        let report = self.report_of(worker);
+    /// `workers` take part in a frame from now on.
+    fn take_on(&mut self, at: usize, workers: &[WorkerId], now: Duration) {
+        let reports: Vec<_> = workers.iter().map(|&worker| (worker, self.report_of(worker))).collect();
         let active = &mut self.frames[at];
-        active.reports.push((worker, report));
-        active.members.insert(worker);
+        active.reports.extend(reports);
+        active.members.extend(workers);
         active.alone = None;
-        self.outputs.push_back(Output::Send(worker, ToWorker::Frame(active.frame)));
-        let assignments = active.dispatch.join(worker, now);
-        active.dispatch.wear(worker, self.worn.get(&worker).copied().unwrap_or(0.0));
+        for &worker in workers {
+            self.outputs.push_back(Output::Send(worker, ToWorker::Frame(active.frame)));
+        }
+        let assignments = active.dispatch.join(workers, now);
+        for &worker in workers {
+            active.dispatch.wear(worker, self.worn.get(&worker).copied().unwrap_or(0.0));
+        }
         self.assign(at, assignments);
     }
 
@@ -200,7 +204,7 @@ impl Coordinator {
                 if !active.job.mix {
                     active.class = Some(class.clone());
                 }
-                self.take_on(at, worker, now);
+                self.take_on(at, &[worker], now);
             }
         }
         // Frames of other classes do without it, unless nobody of these is left.

@@ -122,8 +122,13 @@ impl Way {
 /// The plan, in the way that fits what was measured.
 pub(super) fn plan(view: &View<'_>) -> Plan {
     let workers = view.workers.len();
-    let (way, why) = view.known.trials.next(workers, view.grid.tiles());
-    let way = if view.known.has_costs() && !view.in_order { way } else { Way::Single };
+    let (way, why) = if view.in_order {
+        (Way::Single, "single tiles, as the image is wanted from its first row on".into())
+    } else if view.known.has_costs() {
+        view.known.trials.next(workers, view.grid.tiles())
+    } else {
+        (Way::Single, "nothing is known of what tiles cost: single tiles, which suit most".into())
+    };
     let list = view.grid.tiles().div_ceil(workers.max(1) as u32);
     let single = || stolen(Balance::Auto, view);
     let plan = match way {

@@ -156,11 +156,13 @@ impl Dispatch {
         self.may_wait = may_wait;
     }
 
-    /// `worker` takes part from now on: it is given what nobody has, and then what late workers have. Where tiles are dealt in advance the
-    /// first is what lost workers had.
-    pub fn join(&mut self, worker: WorkerId, now: Duration) -> Vec<Assignment> {
-        self.crew.entry(worker).or_default();
-        self.idle.insert(worker);
+    /// `workers` take part from now on: they are given what nobody has, and then what late workers have. Where tiles are dealt in advance the
+    /// first is what lost workers had, which is shared out among all that join at once.
+    pub fn join(&mut self, workers: &[WorkerId], now: Duration) -> Vec<Assignment> {
+        for &worker in workers {
+            self.crew.entry(worker).or_default();
+            self.idle.insert(worker);
+        }
         self.hand_out(now)
     }
 
@@ -232,10 +234,13 @@ impl Dispatch {
         hand.granted = allowed.saturating_sub(self.pace.stalled_after(left));
         hand.queued = left;
         let mut gone = tiles;
-        let states = &self.tiles;
-        hand.order.retain(|&(tile, _)| {
+        let (states, all_expected) = (&self.tiles, &mut self.expected);
+        hand.order.retain(|&(tile, expected)| {
             let goes = gone > 0 && states[tile.0 as usize].done;
             gone -= u32::from(goes);
+            if goes {
+                all_expected.remove(&(expected, tile, worker));
+            }
             !goes
         });
         Ok(self.hand_out_to(worker, now))
@@ -601,7 +606,8 @@ impl Dispatch {
 
     /// Notes by when `worker`, which has just got it, should have rendered `tile`.
     fn expect(&mut self, worker: WorkerId, tile: TileId, now: Duration) {
-        let seconds = self.seconds(worker, tile);
+        // One that is in is being taken back: nobody waits for it.
+        let seconds = self.seconds(worker, tile).filter(|_| !self.tiles[tile.0 as usize].done);
         let Some(hand) = self.crew.get_mut(&worker) else { return };
         let took = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
         hand.free_at = hand.free_at.max(now).saturating_add(took.unwrap_or_default());

@@ -1,11 +1,13 @@
 //! What frames before have shown: what places of the image cost, how fast workers are, what the link to them is like.
 
 use std::{collections::BTreeMap, time::Duration};
-use tessera_wire::{Camera, TileGrid, TileId, WorkerId};
+use tessera_wire::{Camera, Features, Frame, PackId, Sampling, TileGrid, TileId, WorkerId};
 
 /// What is known when a frame begins. Pure: the cluster tells it what it measures.
 #[derive(Clone, Debug, Default)]
 pub struct Knowledge {
+    /// Of what costs, bytes and trials are.
+    look: Option<Look>,
     costs: Option<CostMap>,
     /// Speeds of those that have rendered, 1 on the average.
     speeds: BTreeMap<WorkerId, f64>,
@@ -16,6 +18,23 @@ pub struct Knowledge {
     frame_bytes: f64,
     /// What `auto` has tried, and how that went.
     pub(super) trials: super::auto::Trials,
+}
+
+/// What decides, beside the camera, what a place of an image costs: frames that differ in it say nothing of each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    pack: PackId,
+    samples: u32,
+    sampling: Sampling,
+    depth: u32,
+    features: Features,
+}
+
+impl From<&Frame> for Look {
+    fn from(frame: &Frame) -> Self {
+        let Frame { pack, samples, sampling, depth, features, .. } = *frame;
+        Self { pack, samples, sampling, depth, features }
+    }
 }
 
 /// A result as far as it tells of costs.
@@ -54,6 +73,19 @@ impl Knowledge {
 
     /// A worker whose speed has changed by such a factor is another one: what was known of it says nothing.
     const SPEED_JUMP: f64 = 1.5;
+
+    /// A frame of this look begins: what is known of others is forgotten, all but workers and links.
+    pub fn look_at(&mut self, look: Look) {
+        if self.look != Some(look) {
+            (self.look, self.costs, self.frame_bytes) = (Some(look), None, 0.0);
+            self.trials = super::auto::Trials::default();
+        }
+    }
+
+    /// Whether frames of this look say something of the next one.
+    pub fn is_of(&self, look: Look) -> bool {
+        self.look == Some(look)
+    }
 
     /// A round trip to `worker` takes so long now.
     pub fn round_trip(&mut self, worker: WorkerId, time: Duration) {
@@ -161,6 +193,9 @@ impl Knowledge {
 
     /// The work that a worker has done, by what it was known to cost, over the time that it took: its speed. While nothing is known of
     /// costs, all tiles count the same.
+    ///
+    /// Costs and speeds are known up to a common factor. It is kept: on the average, those of whom something was known are as fast as before.
+    /// A frame that slow ones alone have rendered must not make these the measure of all.
     fn learn_speeds(&mut self, shown: &[Shown], costs: Option<&[f32]>) {
         let mut sums = BTreeMap::<WorkerId, (f64, f64)>::new();
         for result in shown {
@@ -174,9 +209,17 @@ impl Knowledge {
             .filter(|(_, (work, time))| *work > 0.0 && *time > 0.0)
             .map(|(worker, (work, time))| (worker, work / time))
             .collect();
-        let mean = rates.iter().map(|(_, rate)| rate).sum::<f64>() / rates.len().max(1) as f64;
+        let known = rates.iter().filter_map(|(worker, rate)| Some((self.speeds.get(worker)?, rate)));
+        let (before, now) = known.fold((0.0, 0.0), |(b, n), (before, rate)| (b + before, n + rate));
+        let unit = if now > 0.0 {
+            now / before
+        } else if costs.is_some() {
+            1.0
+        } else {
+            rates.iter().map(|(_, rate)| rate).sum::<f64>() / rates.len().max(1) as f64
+        };
         for (worker, rate) in rates {
-            let now = rate / mean;
+            let now = rate / unit;
             let speed = self.speeds.entry(worker).or_insert(now);
             let jump = (now / *speed).max(*speed / now);
             *speed = if jump > Self::SPEED_JUMP { now } else { *speed + Self::SPEED_GAIN * (now - *speed) };
@@ -295,6 +338,47 @@ mod tests {
         assert_eq!(known.speed_of(WorkerId(9)), 1.0, "nothing is known of it");
         known.forget(WorkerId(0));
         assert_eq!(known.speed_of(WorkerId(0)), 1.0);
+    }
+
+    #[test]
+    fn groups_that_render_by_turns_are_measured_alike() {
+        let grid = TileGrid::new(64, 64, 8).unwrap();
+        let mut known = Knowledge::default();
+        learn(&mut known, &grid, &shown(&grid, |_| 0.01, &[1.0, 1.0, 0.25, 0.25]));
+        for turn in 0..6 {
+            let mut results = shown(&grid, |_| 0.01, if turn % 2 == 0 { &[1.0; 2] } else { &[0.25; 2] });
+            results.iter_mut().for_each(|result| result.worker.0 += 2 * (turn % 2));
+            learn(&mut known, &grid, &results);
+        }
+        let ratio = known.speed_of(WorkerId(0)) / known.speed_of(WorkerId(2));
+        assert!((ratio - 4.0).abs() < 0.01, "{ratio}");
+        // One that nobody knows is measured by what tiles are known to cost.
+        let mut results = shown(&grid, |_| 0.01, &[0.5]);
+        results.iter_mut().for_each(|result| result.worker.0 = 9);
+        learn(&mut known, &grid, &results);
+        let ratio = known.speed_of(WorkerId(0)) / known.speed_of(WorkerId(9));
+        assert!((ratio - 2.0).abs() < 0.01, "{ratio}");
+    }
+
+    #[test]
+    fn what_another_look_has_shown_is_forgotten() {
+        let grid = TileGrid::new(64, 64, 8).unwrap();
+        let look = |samples| Look {
+            pack: PackId([1; 32]),
+            samples,
+            sampling: Sampling::default(),
+            depth: 8,
+            features: Features::default(),
+        };
+        let mut known = Knowledge::default();
+        known.look_at(look(1));
+        learn(&mut known, &grid, &shown(&grid, |_| 0.01, &[1.0, 0.5]));
+        known.look_at(look(1));
+        assert!(known.has_costs() && known.is_of(look(1)) && !known.is_of(look(64)));
+        known.look_at(look(64));
+        assert!(!known.has_costs() && known.mean_tile().is_none());
+        let ratio = known.speed_of(WorkerId(0)) / known.speed_of(WorkerId(1));
+        assert!((ratio - 2.0).abs() < 0.01, "workers are the same: {ratio}");
     }
 
     #[test]

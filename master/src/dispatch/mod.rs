@@ -18,7 +18,7 @@ pub use checks::{Check, Checks, choose};
 pub use class::fastest;
 pub use deal::{Deal, row_major_owner};
 pub use frame::{Assignment, Dispatch, Violation};
-pub use knowledge::{Knowledge, Seen, Shown};
+pub use knowledge::{Knowledge, Look, Seen, Shown};
 pub use policy::{View, plan};
 
 pub use tessera_wire::Balance;

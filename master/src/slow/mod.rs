@@ -18,6 +18,7 @@ pub use advice::{Advice, Change};
 
 use crate::trace::{FrameTrace, Placed, RunTrace, WorkerSpans, place};
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// Where a run's time went.
 #[derive(Clone, Debug, Serialize)]
@@ -126,6 +127,8 @@ struct OfWorker {
     tiles: u64,
     render: f64,
     was_last: u64,
+    /// What its tiles took over what those of others around them took.
+    beside: Vec<f64>,
 }
 
 impl OfWorker {
@@ -181,6 +184,7 @@ impl Sums {
             of.tiles += 1;
             of.render += tile.render_us as f64;
         }
+        self.compare_neighbours(run, frame);
         self.of_workers[last_worker].was_last += 1;
         let others: Vec<_> =
             spans[last_worker].tiles.iter().filter(|tile| tile.index != last.index).collect();
@@ -188,6 +192,33 @@ impl Sums {
             / others.len().max(1) as f64;
         if mean > 0.0 {
             self.last_tile = self.last_tile.max(frame.tiles[last.index].render_us as f64 / mean);
+        }
+    }
+
+    /// Holds tiles against those of other workers beside, above and below them. Of the two directions the one counts that makes less of it:
+    /// a costly column is not its worker's fault.
+    fn compare_neighbours(&mut self, run: &RunTrace, frame: &FrameTrace) {
+        let columns = run.size[0].div_ceil(run.tile.max(1)).max(1);
+        let in_image = frame.tiles.iter().filter(|tile| !tile.dropped);
+        let all: BTreeMap<_, _> = in_image.map(|tile| (tile.tile, tile)).collect();
+        for (&number, tile) in &all {
+            let time_of = |number: Option<u32>| {
+                let other = all.get(&number?).filter(|other| other.worker != tile.worker)?;
+                Some(other.render_us.max(1) as f64)
+            };
+            let mean = |times: [Option<f64>; 2]| match times {
+                [Some(a), Some(b)] => Some(0.5 * (a + b)),
+                [a, b] => a.or(b),
+            };
+            let column = number % columns;
+            let left = number.checked_sub(1).filter(|_| column > 0);
+            let right = number.checked_add(1).filter(|_| column + 1 < columns);
+            let row = mean([time_of(left), time_of(right)]);
+            let (above, below) = (number.checked_sub(columns), number.checked_add(columns));
+            let column = mean([time_of(above), time_of(below)]);
+            if let (Some(row), Some(column)) = (row, column) {
+                self.of_workers[tile.worker].beside.push(tile.render_us as f64 / row.max(column));
+            }
         }
     }
 

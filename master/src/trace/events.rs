@@ -66,6 +66,8 @@ pub enum Args {
         tile: u32,
         /// Times that it had been handed out before.
         attempt: u32,
+        /// When it was handed out, from the frame's begin.
+        assigned_us: u64,
         /// Bytes on the wire.
         wire_bytes: u64,
         /// Bytes of its pixels.
@@ -82,8 +84,9 @@ const CLOCKS: &str = "Times of the master are measured. A worker's clock has ano
 and are moved as a whole so that the shortest ways to it and back are equally long; where that does not fit, they are cut. Nothing begins before it was \
 handed out, or is sent after it came.";
 
-/// What a worker does, a group of tracks each: several tiles may wait or travel at a time, and each then has a track.
-const KINDS: [&str; 5] = ["handed out", "render", "code and wait to be sent", "transfer", "idle"];
+/// What a worker does, a group of tracks each: several tiles may wait or travel at a time, and each then has a track. The first is from a tile's
+/// hand-out, or from the end of the one before it, until it is begun.
+const KINDS: [&str; 5] = ["assigned", "render", "code and wait to be sent", "transfer", "idle"];
 
 /// Tracks of a kind that get numbers of their own.
 const TRACKS: usize = 1 << 20;
@@ -141,8 +144,9 @@ impl Events {
         let mut free = 0;
         for placed in &spans.tiles {
             let Placed { index, assigned, begun, rendered, sent, received } = *placed;
-            let parts =
-                [(0, assigned, begun), (1, begun, rendered), (2, rendered, sent), (3, sent, received)];
+            // Of a whole list that was handed out at once, one tile after the other is next.
+            let next = assigned.max(free).min(begun);
+            let parts = [(0, next, begun), (1, begun, rendered), (2, rendered, sent), (3, sent, received)];
             for (kind, from, to) in parts {
                 // What took no time would hide what did.
                 if to > from || kind == 1 {
@@ -170,6 +174,7 @@ impl Events {
         let args = tile.map(|tile| Args::Tile {
             tile: tile.tile,
             attempt: tile.attempt,
+            assigned_us: tile.assigned_us,
             wire_bytes: tile.wire_bytes,
             pixel_bytes: tile.pixel_bytes,
             coding_us: tile.coding_us,

@@ -6,7 +6,7 @@ mod place;
 pub use events::{Event, TraceFile};
 pub use place::{Placed, WorkerSpans, place};
 
-use crate::{FrameJob, FrameResult, MasterWork, TileRecord};
+use crate::{FrameJob, FrameResult, MasterWork, TileRecord, WorkerReport};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -40,7 +40,7 @@ pub struct RunTrace {
 pub struct TraceWorker {
     /// Its name.
     pub name: String,
-    /// How fast it is beside the others, if that is known from elsewhere.
+    /// How fast it is beside the others, if that is known from elsewhere: of `tessera bench scale`.
     #[serde(default)]
     pub speed: Option<f64>,
     /// The shortest round trip to it, if it was measured.
@@ -107,12 +107,6 @@ impl RunTrace {
 
     /// A run of one frame, of `scene`.
     pub fn of_frame<I>(scene: &str, job: &FrameJob, result: &FrameResult<I>) -> Self {
-        let worker = |worker: &crate::WorkerReport| TraceWorker {
-            name: worker.name.clone(),
-            speed: None,
-            round_trip_us: worker.round_trip.map(micros),
-            lost: worker.lost.clone().or_else(|| worker.rejected.clone()),
-        };
         Self {
             version: Self::VERSION,
             scene: scene.to_owned(),
@@ -121,7 +115,7 @@ impl RunTrace {
             coding: result.coding.name().into(),
             size: [job.width, job.height],
             tile: if result.tile > 0 { result.tile } else { job.tile },
-            workers: result.workers.iter().map(worker).collect(),
+            workers: result.workers.iter().map(TraceWorker::from).collect(),
             frames: vec![FrameTrace::of(result)],
         }
     }
@@ -179,6 +173,25 @@ impl FrameTrace {
             master_us_per_message: (messages > 0).then(|| 1e6 * busy.as_secs_f64() / messages as f64),
             messages: (messages > 0).then_some(messages),
             tiles: result.tiles.iter().map(TraceTile::from).collect(),
+        }
+    }
+
+    /// From the moment at which the last tile of the image was rendered until the image was complete; `None` of a frame without tiles.
+    pub fn after_rendering_us(&self, workers: &[TraceWorker]) -> Option<u64> {
+        let spans = place(self, workers);
+        let placed = spans.iter().flat_map(|worker| &worker.tiles);
+        let of_image = placed.filter(|placed| !self.tiles[placed.index].dropped);
+        of_image.map(|placed| self.frame_us.saturating_sub(placed.rendered)).min()
+    }
+}
+
+impl From<&WorkerReport> for TraceWorker {
+    fn from(report: &WorkerReport) -> Self {
+        Self {
+            name: report.name.clone(),
+            speed: None,
+            round_trip_us: report.round_trip.map(micros),
+            lost: report.lost.clone().or_else(|| report.rejected.clone()),
         }
     }
 }

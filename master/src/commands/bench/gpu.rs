@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use std::rc::Rc;
 use std::time::Duration;
 use tessera_master::prepare::{PrepareOptions, choose_camera, prepare_scene};
-use tessera_master::{Balance, Difference, FrameBuffer, FrameJob, PixelFormat};
+use tessera_master::{Difference, FrameBuffer, FrameJob, PixelFormat};
 use tessera_pack::{Pack, Plain};
 use tessera_scene::{Camera, Scene};
 use tessera_whitted::variant::Variant;
@@ -245,19 +245,14 @@ pub(in crate::commands) fn whole_frame(
 ) -> Result<Frame, CommandError> {
     let pose = choose_camera(cameras, None).map_err(CommandError::Usage)?.pose;
     let job = FrameJob {
-        camera: pose.to_local(&pack.frame(), width, height).map_err(CommandError::usage)?,
-        width,
-        height,
         tile: width.max(height),
-        samples: 1,
-        sampling: Default::default(),
         depth,
-        seed: 0,
         features,
-        format: PixelFormat::Rgba8,
-        balance: Balance::default(),
-        mix: false,
-        coding: None,
+        ..FrameJob::new(
+            pose.to_local(&pack.frame(), width, height).map_err(CommandError::usage)?,
+            width,
+            height,
+        )
     };
     let whole = job.to_wire(FrameId(1), tessera_wire::PackId(pack.id().0));
     whole.check().map_err(CommandError::usage)?;

@@ -5,10 +5,10 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use tessera_geometry::wide::{ALL_LANES, LANES};
 use tessera_geometry::{Hit, Ray, Vec3};
-use tessera_master::{Balance, FrameJob, PixelFormat};
+use tessera_master::{FrameJob, PixelFormat};
 use tessera_pack::{Pack, PackId};
 use tessera_whitted::stage::{Layers, View, decode};
-use tessera_wire::{Features, Frame, FrameId, Sampling};
+use tessera_wire::{Features, Frame, FrameId};
 use tessera_worker::gpu::GpuOptions;
 use tessera_worker::gpu::probe::{GpuProbe, ProbedScene, cpu_frame_by_tiles};
 use tessera_worker::{Kernel, NUMERIC_CLASS};
@@ -86,12 +86,8 @@ impl dyn Renders + '_ {
 pub fn frame_of(pack: &Pack, view: &View, format: PixelFormat, seed: u64) -> Result<Frame, String> {
     let View { pose, width, height, samples, max_depth, features, .. } = *view;
     let job = FrameJob {
-        camera: pose.to_local(&pack.frame(), width, height).map_err(|e| e.to_string())?,
-        width,
-        height,
         tile: width.max(height),
         samples,
-        sampling: Sampling::default(),
         depth: max_depth,
         seed,
         features: Features {
@@ -100,9 +96,11 @@ pub fn frame_of(pack: &Pack, view: &View, format: PixelFormat, seed: u64) -> Res
             refraction: features.refraction,
         },
         format,
-        balance: Balance::default(),
-        mix: false,
-        coding: None,
+        ..FrameJob::new(
+            pose.to_local(&pack.frame(), width, height).map_err(|e| e.to_string())?,
+            width,
+            height,
+        )
     };
     let frame = job.to_wire(FrameId(1), tessera_wire::PackId(pack.id().0));
     frame.check().map_err(|e| e.to_string())?;

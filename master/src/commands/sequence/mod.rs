@@ -41,12 +41,12 @@ pub struct SequenceArgs {
     /// Give up frames under way too; after that one is seen to its end, so that pictures come however fast poses do
     #[arg(long, requires = "newest", conflicts_with_all = ["path", "frames", "fps"])]
     give_up: bool,
-    /// Split the workers into G groups, which render frames by turns: with as many groups as workers each renders whole frames
-    #[arg(long, value_name = "G", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
-    groups: u32,
-    /// Frames of each group under way at a time; with 2 workers go on to the next frame while the last tiles of one return
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=6))]
-    ahead: u32,
+    /// Split the workers into G groups, which render frames by turns: with as many groups as workers each renders whole frames [default: 1]
+    #[arg(long, value_name = "G", value_parser = clap::value_parser!(u32).range(1..=256))]
+    groups: Option<u32>,
+    /// Frames of each group under way at a time; with 2 workers go on to the next frame while the last tiles of one return [default: 2]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=6))]
+    ahead: Option<u32>,
 }
 
 /// A rate of frames.
@@ -62,6 +62,24 @@ impl SequenceArgs {
         self.frames.is_some() || self.fps.is_some() || self.path.is_some() || self.poses.is_some()
     }
 
+    /// Refuses what would change nothing.
+    pub fn check(&self, is_elsewhere: bool) -> Result<(), String> {
+        let given = [("--groups", self.groups.is_some()), ("--ahead", self.ahead.is_some())];
+        let flag = given.iter().find(|(_, is_given)| *is_given).map(|(flag, _)| *flag);
+        match flag {
+            Some(flag) if !self.is_asked_for() => {
+                Err(format!("{flag} is for many frames; name them by --frames, --fps, --path or --poses"))
+            }
+            Some(flag) if is_elsewhere => Err(format!(
+                "{flag}: a master elsewhere renders the frames of a client one after the other; leave it out, or render with --workers"
+            )),
+            _ if self.give_up && is_elsewhere => Err(
+                "--give-up: a frame that a master elsewhere has begun is seen to its end; leave it out, --newest skips those that wait".into(),
+            ),
+            _ => Ok(()),
+        }
+    }
+
     /// The name of the first file, where `out` is a pattern.
     pub fn first_file(&self, out: &Path) -> Result<PathBuf, CommandError> {
         Ok(Pattern::parse(out)?.file(0))
@@ -73,7 +91,8 @@ impl SequenceArgs {
             (true, false) => Stale::Skip,
             (false, false) => Stale::Render,
         };
-        SequenceConfig { groups: self.groups, depth: self.ahead, stale }
+        let SequenceConfig { groups, depth, .. } = SequenceConfig::default();
+        SequenceConfig { groups: self.groups.unwrap_or(groups), depth: self.ahead.unwrap_or(depth), stale }
     }
 }
 

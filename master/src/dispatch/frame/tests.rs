@@ -201,7 +201,7 @@ fn the_second_holder_of_a_tile_keeps_it_when_the_first_is_lost_and_the_other_way
         assert_eq!(third, [Assignment { worker: WorkerId(2), attempt: Attempt(2), tiles: vec![TileId(0)] }]);
         d.lost(WorkerId(1 - gone), NOW);
         assert_eq!(d.lost(WorkerId(2), NOW), []);
-        assert_eq!(given(&d.join(WorkerId(7), NOW), 7), [0], "nobody else has it");
+        assert_eq!(given(&d.join(&[WorkerId(7)], NOW), 7), [0], "nobody else has it");
         assert_eq!(d.accept(WorkerId(7), TileId(0), Attempt(3), NOW), Ok(true));
     }
 }
@@ -209,14 +209,14 @@ fn the_second_holder_of_a_tile_keeps_it_when_the_first_is_lost_and_the_other_way
 #[test]
 fn those_that_join_late_get_what_is_there() {
     let (mut d, _) = start(64, Balance::Dynamic, 1);
-    assert_eq!(given(&d.join(WorkerId(5), NOW), 5).len(), PREFETCH);
+    assert_eq!(given(&d.join(&[WorkerId(5)], NOW), 5).len(), PREFETCH);
     let (mut d, _) = start(64, Balance::Static, 2);
-    assert_eq!(d.join(WorkerId(5), NOW), [], "all is dealt");
+    assert_eq!(d.join(&[WorkerId(5)], NOW), [], "all is dealt");
     let mine = d.crew[&WorkerId(0)].alone_with.clone();
     assert_eq!(given(&d.lost(WorkerId(0), NOW), 5).len(), mine.len(), "it had nothing to do");
     // Nobody was there at the start.
     let (mut d, _) = start(64, Balance::Static, 0);
-    assert_eq!(given(&d.join(WorkerId(5), NOW), 5).len(), 64);
+    assert_eq!(given(&d.join(&[WorkerId(5)], NOW), 5).len(), 64);
 }
 
 #[test]
@@ -269,4 +269,53 @@ fn more_workers_than_tiles() {
         assert_eq!(d.accept(first[0].worker, TileId(0), Attempt(0), NOW), Ok(true));
         assert!(d.is_done());
     }
+}
+
+#[test]
+fn lists_that_nobody_has_are_shared_out_among_all_that_join_at_once() {
+    let (mut d, _) = start(64, Balance::Static, 2);
+    let left: Vec<_> = workers(2).into_iter().flat_map(|worker| d.lost(worker, NOW)).collect();
+    assert!(given(&left, 1).len() == 32, "the other has them first: {left:?}");
+    let handed = d.join(&[WorkerId(4), WorkerId(5), WorkerId(6), WorkerId(7)], NOW);
+    for worker in 4..8 {
+        assert_eq!(given(&handed, worker).len(), 16, "{handed:?}");
+    }
+}
+
+/// A tile that a second worker has finished is the first one's until that says that it was cancelled. That the clocks are restarted meanwhile,
+/// as for a frame that waited for another, must not make it a tile that is missing.
+#[test]
+fn a_tile_that_is_being_taken_back_is_not_expected() {
+    let grid = TileGrid::new(4, 1, 1).unwrap();
+    let plan = Plan {
+        costs: vec![1.0; 4],
+        endgame: Endgame::Soonest(Duration::ZERO),
+        ..plan_of(&grid, Balance::Dynamic, 2)
+    };
+    let (mut d, handed) = Dispatch::start_as(&grid, plan, 1, &workers(2), NOW);
+    assert_eq!((given(&handed, 0), given(&handed, 1)), (vec![0], vec![1]));
+    // The second does all others, and helps.
+    let mut now = NOW;
+    for tile in [1, 2, 3] {
+        now += SECOND / 10;
+        d.rendered(WorkerId(1), 1, now).unwrap();
+        d.accept(WorkerId(1), TileId(tile), Attempt(0), now).unwrap();
+    }
+    now += 10 * SECOND;
+    assert_eq!(given(&d.tick(now), 1), [0]);
+    now += SECOND / 10;
+    d.rendered(WorkerId(1), 1, now).unwrap();
+    assert_eq!(d.accept(WorkerId(1), TileId(0), Attempt(1), now), Ok(true));
+    assert_eq!(d.other_holders(TileId(0), WorkerId(1)), [WorkerId(0)]);
+    d.restart_clocks(now);
+    assert!(d.expected.is_empty(), "{:?}", d.expected);
+    d.cancelled(WorkerId(0), 1, now).unwrap();
+    assert_eq!(d.tick(now + 100 * SECOND), [], "all is in");
+}
+
+/// How frames of `count` workers are handed out while nothing is known.
+fn plan_of(grid: &TileGrid, balance: Balance, count: u32) -> Plan {
+    let camera = Camera { origin: [0.0; 3], forward: [0.0; 3], right: [0.0; 3], up: [0.0; 3] };
+    let (workers, known) = (workers(count), Knowledge::default());
+    plan(balance, &View { grid, camera: &camera, workers: &workers, known: &known, in_order: false })
 }

@@ -13,7 +13,7 @@ use std::time::Duration;
 use tessera_geometry::CameraPose;
 use tessera_master::compare::{Comparison, Picture, compare};
 use tessera_master::prepare::prepare_scene;
-use tessera_master::{Balance, FrameBuffer, FrameJob, PixelFormat};
+use tessera_master::{FrameBuffer, FrameJob, PixelFormat};
 use tessera_oracle::View;
 use tessera_pack::format::Section;
 use tessera_pack::{Pack, PackId};
@@ -199,19 +199,13 @@ impl Studio<'_> {
             By::Cpu(_) | By::Gpu => width.max(height),
         };
         let job = FrameJob {
-            camera,
-            width,
-            height,
             tile,
             samples,
             sampling,
             depth,
-            seed: 0,
             features,
             format: PixelFormat::Layers,
-            balance: Balance::default(),
-            mix: false,
-            coding: None,
+            ..FrameJob::new(camera, width, height)
         };
         let hands = match (setting.by, &self.gpu) {
             (By::Cpu(kernel), _) => Hands::Cpu(kernel),

@@ -1,7 +1,9 @@
 //! What `bench scale` and `bench tiles` have in common on the command line.
 
+use super::devices;
 use super::recorded::Recorded;
 use crate::commands::args::Size;
+use crate::commands::run::cores;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use tessera_master::Balance;
@@ -32,7 +34,7 @@ pub struct ClusterArgs {
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub runs: u32,
     /// One run of two frames, one frame where a worker is alone
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["runs", "frames"])]
     pub quick: bool,
     /// Image size in pixels
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1024x1024")]
@@ -43,7 +45,7 @@ pub struct ClusterArgs {
     /// A camera of the scene [default: its first]
     #[arg(long, value_name = "NAME")]
     pub camera: Option<String>,
-    /// Folder for the page (index.html), plots, scale.csv and scale.json
+    /// Folder for what is measured: a page (index.html) with plots, scale.csv, scale.json and traces, or tiles.csv
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Print one JSON object on stdout
@@ -61,6 +63,23 @@ pub enum DeviceKind {
     Real,
     /// No processes: a virtual clock
     Simulated,
+}
+
+impl ClusterArgs {
+    /// The speeds of a cluster of so many workers, if it can be measured.
+    pub fn speeds(&self, workers: u32) -> Result<Vec<f64>, String> {
+        let speeds = devices::speeds(&self.device_speed, workers as usize)?;
+        if self.device == DeviceKind::Real {
+            devices::check_real(&speeds, cores())?;
+            if self.launch_us > 0 {
+                return Err("--launch-us is for devices that are played or simulated; real ones launch what they launch".into());
+            }
+        }
+        if self.device != DeviceKind::Simulated && workers as usize > limits::WORKERS {
+            return Err(format!("--workers {workers}: a master takes {} at most", limits::WORKERS));
+        }
+        Ok(speeds)
+    }
 }
 
 impl DeviceKind {

@@ -3,7 +3,9 @@
 use super::link::LinkProfile;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
-use tessera_master::{Balance, TileRecord};
+use tessera_master::trace::{FrameTrace, RunTrace, TraceTile, TraceWorker};
+use tessera_master::{Balance, MasterWork, TileRecord};
+use tessera_wire::Coding;
 
 /// One cluster and one way of balancing.
 #[derive(Clone, Debug)]
@@ -25,8 +27,12 @@ pub struct Measured {
     pub tiles: u32,
     pub records: Vec<TileRecord>,
     pub dropped: u64,
-    /// How long the master worked, where that is known.
-    pub master: Duration,
+    /// What the records count workers by.
+    pub workers: Vec<TraceWorker>,
+    pub coding: Coding,
+    /// What the master did, and CPU time of its process: all threads, those that receive, decrypt and unpack too.
+    pub master: MasterWork,
+    pub master_cpu: Duration,
     /// Of the image.
     pub hash: String,
     /// Why it was balanced as it was, for `auto`.
@@ -52,6 +58,15 @@ pub struct Row {
     pub tile: u32,
     /// Time of a tile, all together, over the sum of the workers' time.
     pub busy_share: f64,
+    /// From the last tile's rendering to the complete image.
+    pub after_ms: f64,
+    /// Messages that the master's thread took and sent, and how long it was at work.
+    pub messages: u64,
+    pub master_ms: f64,
+    /// CPU time of the master's process.
+    pub master_cpu_ms: f64,
+    /// How many tiles there are.
+    pub tiles: u32,
     /// Results that were dropped.
     pub dropped: u64,
     /// What the simulator says that the frame takes, where it was asked.
@@ -61,7 +76,7 @@ pub struct Row {
 }
 
 impl Row {
-    pub const COLUMNS: [&str; 15] = [
+    pub const COLUMNS: [&str; 20] = [
         "scene",
         "link",
         "balance",
@@ -74,13 +89,18 @@ impl Row {
         "bytes",
         "tile",
         "busy_share",
+        "after_ms",
+        "messages",
+        "master_ms",
+        "master_cpu_ms",
+        "tiles",
         "dropped",
         "predicted_ms",
         "why",
     ];
 
     /// As [`Row::COLUMNS`] says.
-    pub fn cells(&self) -> [String; 15] {
+    pub fn cells(&self) -> [String; 20] {
         [
             self.scene.clone(),
             self.link.clone(),
@@ -94,6 +114,11 @@ impl Row {
             self.bytes.to_string(),
             self.tile.to_string(),
             format!("{:.4}", self.busy_share),
+            format!("{:.3}", self.after_ms),
+            self.messages.to_string(),
+            format!("{:.3}", self.master_ms),
+            format!("{:.3}", self.master_cpu_ms),
+            self.tiles.to_string(),
             self.dropped.to_string(),
             self.predicted_ms.map_or(String::new(), |ms| format!("{ms:.3}")),
             self.why.clone().unwrap_or_default(),
@@ -114,6 +139,41 @@ impl Case {
 }
 
 impl Measured {
+    /// What `tessera why-slow` and trace viewers read.
+    pub fn trace(&self, case: &Case, scene: &str, size: [u32; 2]) -> RunTrace {
+        let workers = self.workers.iter().zip(&case.speeds);
+        let us = |time: Duration| time.as_micros() as u64;
+        let MasterWork { busy, messages } = self.master;
+        RunTrace {
+            version: RunTrace::VERSION,
+            scene: scene.into(),
+            link: Some(case.link.name.clone()),
+            balance: case.balance.name().into(),
+            coding: self.coding.name().into(),
+            size,
+            tile: self.tile,
+            workers: workers.map(|(w, &speed)| TraceWorker { speed: Some(speed), ..w.clone() }).collect(),
+            frames: vec![FrameTrace {
+                render_us: us(self.took),
+                frame_us: us(self.took),
+                master_us_per_message: (messages > 0).then(|| 1e6 * busy.as_secs_f64() / messages as f64),
+                messages: (messages > 0).then_some(messages),
+                tiles: self.records.iter().map(TraceTile::from).collect(),
+                ..FrameTrace::default()
+            }],
+        }
+    }
+
+    /// From the last tile's rendering to the complete image, in milliseconds.
+    pub fn after_ms(&self) -> f64 {
+        let frame = FrameTrace {
+            frame_us: self.took.as_micros() as u64,
+            tiles: self.records.iter().map(TraceTile::from).collect(),
+            ..FrameTrace::default()
+        };
+        frame.after_rendering_us(&self.workers).map_or(f64::NAN, |us| 1e-3 * us as f64)
+    }
+
     /// Time that tiles took, all together, over that of `workers`.
     pub fn busy_share(&self, workers: usize) -> f64 {
         let busy: Duration = self.records.iter().map(|tile| tile.render).sum();

@@ -1,21 +1,20 @@
 //! `tessera bench scale`.
 
-use super::args::{ClusterArgs, DeviceKind, balances, chosen_balances, tile};
+use super::args::{ClusterArgs, balances, chosen_balances, tile};
 use super::case::Row;
 use super::link::LinkProfile;
+use super::page;
 use super::report::{self, Report};
 use super::studio::{Studio, Way};
-use super::{devices, page};
 use crate::commands::args::Size;
 use crate::commands::bench::folder::{Folder, command_line};
+use crate::commands::bench::refuse_bundle;
 use crate::commands::page::{Theme, machine, write_csv};
 use crate::commands::progress::Progress;
-use crate::commands::run::cores;
 use crate::commands::{CommandError, print_json, print_text};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use tessera_master::Balance;
-use tessera_wire::limits;
 
 /// Clusters to be measured.
 #[derive(Debug, Args)]
@@ -44,6 +43,9 @@ pub struct ScaleArgs {
     /// Links, separated by commas, or all: loopback, wired, lan100, wifi-ac, phone, wan, or a file of one
     #[arg(long, value_name = "NAME|FILE,...", value_delimiter = ',', default_value = "all")]
     link: Vec<String>,
+    /// Write a trace of the last frame of each case to the folder too, for trace viewers and `tessera why-slow`
+    #[arg(long, requires = "out")]
+    traces: bool,
     /// Side of a tile in pixels, a multiple of 16 [default: 128, and for auto what it chooses]
     #[arg(long, value_name = "N", value_parser = tile)]
     tile: Option<u32>,
@@ -65,36 +67,34 @@ impl Grid {
             args.link.iter().map(|link| LinkProfile::find(link)).collect()
         };
         let balances = chosen_balances(&args.balance);
-        let speeds = |&workers: &u32| {
-            let speeds = devices::speeds(&args.cluster.device_speed, workers as usize)?;
-            if args.cluster.device == DeviceKind::Real {
-                devices::check_real(&speeds, cores())?;
-            }
-            if args.cluster.device != DeviceKind::Simulated && workers as usize > limits::WORKERS {
-                return Err(format!("--workers {workers}: a master takes {} at most", limits::WORKERS));
-            }
-            Ok(speeds)
-        };
-        let clusters = args.workers.iter().map(speeds).collect::<Result<_, String>>();
+        let clusters = args.workers.iter().map(|&n| args.cluster.speeds(n)).collect::<Result<_, String>>();
         let usage = CommandError::Usage;
-        Ok(Self {
-            links: links.map_err(usage)?,
-            balances: balances.map_err(usage)?,
-            clusters: clusters.map_err(usage)?,
-        })
+        let links = links.map_err(usage)?;
+        if let Some(twice) = (1..links.len()).find(|&k| links[..k].iter().any(|l| l.name == links[k].name)) {
+            let name = &links[twice].name;
+            return Err(usage(format!(
+                "--link: two links are named `{name}`; give one another name in its file"
+            )));
+        }
+        Ok(Self { links, balances: balances.map_err(usage)?, clusters: clusters.map_err(usage)? })
     }
 }
 
 pub fn run(args: &ScaleArgs, progress: &Progress) -> Result<(), CommandError> {
     let grid = Grid::of(args)?;
     let out = args.cluster.out.as_deref().map(Folder::check).transpose()?;
+    if out.is_some() {
+        // The page compares packings.
+        refuse_bundle(&args.cluster.scene)?;
+    }
     let studio = Studio::open(&args.cluster, progress)?;
     let ways: Vec<Way> = grid.balances.iter().map(|&balance| (balance, args.tile)).collect();
     let mut rows = Vec::new();
     for link in &grid.links {
         for speeds in &grid.clusters {
             let _bar = progress.step(format!("{} workers on {}", speeds.len(), link.name));
-            studio.measure_cluster(link, speeds, &ways, progress, &mut rows)?;
+            let traces = out.as_ref().filter(|_| args.traces);
+            studio.measure_cluster(link, speeds, &ways, traces, progress, &mut rows)?;
         }
     }
     let mut report = report_of(&studio, args, grid, rows);
@@ -141,6 +141,10 @@ fn report_of(studio: &Studio<'_>, args: &ScaleArgs, grid: Grid, rows: Vec<Row>) 
 
 /// Writes the page, the plots and the figures.
 fn write_files(folder: &Folder, report: &Report) -> Result<(), CommandError> {
+    let mut table = Vec::new();
+    write_csv(&mut table, Row::COLUMNS, report.rows.iter().map(Row::cells)).map_err(CommandError::failed)?;
+    folder.write("scale.csv", &table)?;
+    folder.write("scale.json", &serde_json::to_vec_pretty(report).map_err(CommandError::failed)?)?;
     folder.write("index.html", page::page(report).html().as_bytes())?;
     for link in &report.links {
         let (times, shares) =
@@ -150,8 +154,5 @@ fn write_files(folder: &Folder, report: &Report) -> Result<(), CommandError> {
             folder.write(&format!("{}-{what}.png", link.name), &plot.png(Theme::Light))?;
         }
     }
-    let mut table = Vec::new();
-    write_csv(&mut table, Row::COLUMNS, report.rows.iter().map(Row::cells)).map_err(CommandError::failed)?;
-    folder.write("scale.csv", &table)?;
-    folder.write("scale.json", &serde_json::to_vec_pretty(report).map_err(CommandError::failed)?)
+    Ok(())
 }

@@ -5,8 +5,8 @@ use std::path::Path;
 /// Speeds that a device can have beside the recorded one, or this machine's core.
 const SPEEDS: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 
-/// Workers that a list can name.
-const WORKERS_MAX: usize = tessera_wire::limits::WORKERS;
+/// Workers that a list can name: those of the largest simulated cluster.
+pub const WORKERS_MAX: usize = 10_000;
 
 /// A core's share that is left to the master, the relay and the system.
 const LEFT_OVER: f64 = 0.5;

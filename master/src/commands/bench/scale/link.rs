@@ -115,6 +115,11 @@ impl LinkProfile {
                 return Err(format!("{key}: write one line of 1 to 1024 bytes"));
             }
         }
+        // It is part of files' names.
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        if self.name.len() > 64 || self.name.starts_with('.') || !self.name.chars().all(is_plain) {
+            return Err("name: write letters, digits, `-`, `_` and `.`, 64 at most".into());
+        }
         let rate = 0.01..=100_000.0;
         let ranges = [
             ("mbit_up", self.mbit_up.unwrap_or(1.0), rate.clone()),
@@ -182,6 +187,8 @@ mtu = 1472
         check("queue_kib = 64", "queue_kib = 64\nmbit = 3", &["line 6", "mbit"]);
         check("half", "some", &["line 3", "some"]);
         check("name = \"x\"", "name = \"\"", &["name: write one line"]);
+        check("name = \"x\"", "name = \"../x\"", &["name: write letters"]);
+        check("name = \"x\"", "name = \"Wi-Fi 5/6\"", &["name: write letters"]);
     }
 
     #[test]

@@ -267,7 +267,8 @@ fn compression(report: &Report) -> Option<PageSection> {
     Some(PageSection {
         title: "Beside the paper's Table 7: what compression costs".into(),
         text: vec![
-            "Ours: one core's time of the frame with plain or packed vertices and with no or up to two references on inner nodes of the tree, scaled so              that both take what one device takes here; sixteen simulated on the phone's link with paper-static."
+            "Ours: one core's time of the frame with plain or packed vertices and with no or up to two references on inner nodes of the tree, scaled so \
+             that both take what one device takes here; sixteen simulated on the phone's link with paper-static."
                 .into(),
         ],
         plot: None,
@@ -285,18 +286,26 @@ fn bytes_and_idle(report: &Report) -> PageSection {
             format!("{:.1}", s.bytes / 1024.0),
             format!("{:.1}", 100.0 * s.idle_share),
             format!("{:.3}", s.max_ms / s.min_ms),
+            format!("{:.1}", s.after_ms),
+            format!("{:.1}", s.master_us_per_message),
+            format!("{:.1}", s.master_cpu_us_per_tile),
         ]
     });
     PageSection {
-        title: "Bytes, idle shares and spread".into(),
+        title: "Bytes, idle shares, spread, and the master".into(),
         text: vec![
             "UDP payload of a frame in both directions; the share of the workers' time in which they had nothing to render; the slowest measured \
-             frame over the fastest."
+             frame over the fastest; the time from the last tile's rendering to the complete image; what the master's thread does for a message, a \
+             tile's result among them (other threads receive and unpack); CPU time of the master's whole process for a tile."
                 .into(),
         ],
         plot: None,
         pictures: Vec::new(),
-        table: Some(table(&["link", "balancing", "workers", "KiB", "idle %", "max / min"], rows.collect(), 2)),
+        table: Some(table(
+            &["link", "balancing", "workers", "KiB", "idle %", "max / min", "after the last tile, ms", "master, us a message", "CPU us a tile"],
+            rows.collect(),
+            2,
+        )),
     }
 }
 

@@ -5,10 +5,12 @@ use super::link::LinkProfile;
 use super::relay_process::{Waiting, through};
 use crate::commands::CommandError;
 use crate::commands::LogArgs;
+use crate::commands::bench::clock::Watch;
 use crate::commands::run::runtime;
 use std::ffi::OsString;
 use std::path::Path;
 use std::time::Duration;
+use tessera_master::trace::TraceWorker;
 use tessera_master::{Cluster, ClusterConfig, FrameJob, LocalWorkers, Workers};
 use tessera_pack::{Material, Pack, PackInput, PackOptions, build_pack};
 
@@ -78,7 +80,9 @@ impl RealCluster {
             let mut measured = Vec::new();
             let mut before = cluster.traffic();
             for _ in 0..frames {
+                let watch = Watch::start();
                 let frame = cluster.render(&job, |_| ()).await.map_err(CommandError::failed)?;
+                let cpu = Duration::from_secs_f64(watch.read().cpu_s);
                 let traffic = cluster.traffic().since(&before);
                 before = cluster.traffic();
                 measured.push(Measured {
@@ -88,7 +92,10 @@ impl RealCluster {
                     tiles: frame.tiles.iter().filter(|tile| tile.is_first).count() as u32,
                     hash: frame.image.hash().to_string(),
                     dropped: frame.dropped_tiles,
-                    master: Duration::ZERO,
+                    workers: frame.workers.iter().map(TraceWorker::from).collect(),
+                    coding: frame.coding,
+                    master: frame.master,
+                    master_cpu: cpu,
                     why: frame.why,
                     records: frame.tiles,
                 });

@@ -18,7 +18,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// Workers that it relays for; packets of more are dropped.
-const PEERS_MAX: usize = 256;
+const PEERS_MAX: usize = tessera_wire::limits::WORKERS;
 
 /// Bytes that are on their way at a time in each direction, whatever the profile: more are dropped as if the queue were full.
 const TRAVELLING_BYTES_MAX: usize = 256 << 20;

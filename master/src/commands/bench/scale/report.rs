@@ -69,6 +69,12 @@ pub struct Summary {
     pub bytes: f64,
     /// Time that workers had nothing to render.
     pub idle_share: f64,
+    /// From the last tile's rendering to the complete image, in milliseconds.
+    pub after_ms: f64,
+    /// Of the master's thread, in microseconds for each message.
+    pub master_us_per_message: f64,
+    /// CPU time of the master's process, in microseconds for each tile.
+    pub master_cpu_us_per_tile: f64,
     /// What the simulator said over what was measured.
     pub predicted: Option<f64>,
 }
@@ -86,7 +92,8 @@ pub fn summaries(rows: &[Row], speeds: impl Fn(usize) -> f64) -> Vec<Summary> {
     let static_ones: Vec<_> = found.iter().filter(|s| s.balance == "paper-static").cloned().collect();
     for summary in &mut found {
         let of_link = || ones.iter().filter(|one| one.link == summary.link);
-        let of = |one: f64| one / (speeds(summary.workers) * summary.median_ms);
+        // (The one of one worker has a speed too.)
+        let of = |one: f64| one * speeds(1) / (speeds(summary.workers) * summary.median_ms);
         let own = of_link().find(|one| one.balance == summary.balance).map(|one| one.median_ms);
         let best = of_link().map(|one| one.median_ms).min_by(f64::total_cmp);
         (summary.efficiency, summary.efficiency_best) = (own.map(of), best.map(of));
@@ -119,6 +126,9 @@ fn summary(rows: &[Row], like: &Row) -> Summary {
         to_paper_static: None,
         bytes: mid(of(|row| row.bytes as f64)),
         idle_share: 1.0 - mid(of(|row| row.busy_share)),
+        after_ms: mid(of(|row| row.after_ms)),
+        master_cpu_us_per_tile: mid(of(|row| 1e3 * row.master_cpu_ms / f64::from(row.tiles.max(1)))),
+        master_us_per_message: mid(of(|row| 1e3 * row.master_ms / row.messages.max(1) as f64)),
         predicted: like.predicted_ms.map(|predicted| predicted / median_ms),
     }
 }
@@ -196,6 +206,11 @@ mod tests {
             bytes: 1000,
             tile: 128,
             busy_share: 0.5,
+            after_ms: 1.0,
+            messages: 100,
+            master_ms: 2.0,
+            master_cpu_ms: 4.0,
+            tiles: 64,
             dropped: 0,
             predicted_ms: Some(110.0),
             why: None,
@@ -221,5 +236,9 @@ mod tests {
         let (median, largest, cases) = prediction_error(&found).unwrap();
         assert!((largest - 0.89).abs() < 1e-9 && cases == 4 && median > 0.5);
         assert!(text(&found).contains("paper-static"));
+        // Devices of a tenth of the speed are as efficient.
+        let slow = summaries(&rows, |workers| 0.1 * workers as f64);
+        let pairs = slow.iter().zip(&found).filter_map(|(a, b)| Some(a.efficiency? / b.efficiency?));
+        assert!(pairs.into_iter().all(|ratio| (ratio - 1.0).abs() < 1e-9));
     }
 }

@@ -8,6 +8,7 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tessera_master::FrameJob;
+use tessera_master::trace::TraceWorker;
 use tessera_wire::{Coding, Rect};
 
 /// Devices that are nowhere.
@@ -54,6 +55,9 @@ impl Simulated<'_> {
             faults,
         };
         let frames = simulate(&plot).map_err(CommandError::Failed)?;
+        let round_trip_us = Some((2e3 * case.link.latency_ms) as u64);
+        let worker = |k| TraceWorker { name: format!("w{k}"), round_trip_us, ..TraceWorker::default() };
+        let workers: Vec<_> = (0..case.speeds.len()).map(worker).collect();
         let measured = frames.into_iter().map(|frame| Measured {
             took: frame.took,
             bytes: frame.bytes,
@@ -61,7 +65,10 @@ impl Simulated<'_> {
             tiles: frame.count,
             records: frame.tiles,
             dropped: frame.dropped,
+            workers: workers.clone(),
+            coding: coding.unwrap_or_default(),
             master: frame.master,
+            master_cpu: frame.master.busy,
             // The simulator has compared every pixel; they are its own.
             hash: self.recorded.hash.clone(),
             why: frame.why,

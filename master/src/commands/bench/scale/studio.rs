@@ -8,6 +8,7 @@ use super::recorded::Recorded;
 use super::sim::Costs;
 use super::simulated::Simulated;
 use crate::commands::args::{PlainPart, Size};
+use crate::commands::bench::folder::Folder;
 use crate::commands::progress::Progress;
 use crate::commands::run::prepare_scene;
 use crate::commands::{CommandError, PackingArgs};
@@ -16,8 +17,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 use tessera_geometry::LocalCamera;
 use tessera_master::prepare::{Prepared, choose_camera};
-use tessera_master::{Balance, FrameJob, PixelFormat};
-use tessera_wire::{Coding, Features, Sampling};
+use tessera_master::trace::TraceFile;
+use tessera_master::{Balance, FrameJob};
+use tessera_wire::Coding;
 
 /// A row of the paper's Table 7.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -71,12 +73,13 @@ impl<'a> Studio<'a> {
         self.recorded.total().mul_f64(self.scale)
     }
 
-    /// Measures workers of these speeds in all `ways`.
+    /// Measures workers of these speeds in all `ways`; traces of the last frames go to a folder, if there is one.
     pub fn measure_cluster(
         &self,
         link: &LinkProfile,
         speeds: &[f64],
         ways: &[Way],
+        traces: Option<&Folder>,
         progress: &Progress,
         rows: &mut Vec<Row>,
     ) -> Result<(), CommandError> {
@@ -97,28 +100,35 @@ impl<'a> Studio<'a> {
             (true, 1) => (1, 1),
             (true, _) => (1, 2),
         };
+        let plans = ways.iter().map(|&(balance, side)| {
+            let case = Case { link: link.clone(), balance, speeds: speeds.to_vec() };
+            let tile = side.unwrap_or(if balance == Balance::Auto { 0 } else { FrameJob::TILE });
+            let job = FrameJob { tile, coding: self.coding(balance), ..self.job.clone() };
+            let warm = warm_up(balance, speeds.len());
+            // The same in each run.
+            let simulated = self.simulator().run(&case, &job, warm + frames as usize, &[])?;
+            Ok::<_, CommandError>((case, job, warm, simulated))
+        });
+        let plans: Vec<_> = plans.collect::<Result<_, _>>()?;
         for run in 0..runs {
-            for &(balance, side) in ways {
-                let case = Case { link: link.clone(), balance, speeds: speeds.to_vec() };
-                let tile = side.unwrap_or(if balance == Balance::Auto { 0 } else { 128 });
-                let job = FrameJob { tile, coding: self.coding(balance), ..self.job.clone() };
-                let warm = warm_up(balance, speeds.len());
-                let all = warm + frames as usize;
-                let predicted = self.simulator().run(&case, &job, all, &[])?;
+            for (case, job, warm, simulated) in &plans {
                 let measured = match &mut cluster {
-                    Some(cluster) => cluster.run(&case, &job, all)?,
-                    None => predicted.clone(),
+                    Some(cluster) => cluster.run(case, job, simulated.len())?,
+                    None => simulated.clone(),
                 };
                 if let Some(wrong) = measured.iter().find(|frame| frame.hash != self.recorded.hash) {
                     return Err(CommandError::Failed(format!(
-                        "{balance} on {}: the image is {}, not {}",
-                        link.name, wrong.hash, self.recorded.hash
+                        "{} on {}: the image is {}, not {}",
+                        case.balance, link.name, wrong.hash, self.recorded.hash
                     )));
                 }
-                let took: Vec<_> = predicted[warm..].iter().map(|frame| ms(frame.took)).collect();
+                let took: Vec<_> = simulated[*warm..].iter().map(|frame| ms(frame.took)).collect();
                 let predicted = median(&took).filter(|_| cluster.is_some());
-                for (number, frame) in (0..).zip(&measured[warm..]) {
-                    rows.push(self.row(&case, run, number, frame, predicted));
+                for (number, frame) in (0..).zip(&measured[*warm..]) {
+                    rows.push(self.row(case, run, number, frame, predicted));
+                }
+                if let (Some(folder), Some(last)) = (traces.filter(|_| run + 1 == runs), measured.last()) {
+                    self.write_trace(folder, case, job, last)?;
                 }
             }
         }
@@ -126,6 +136,19 @@ impl<'a> Studio<'a> {
             cluster.stop();
         }
         Ok(())
+    }
+
+    fn write_trace(
+        &self,
+        folder: &Folder,
+        case: &Case,
+        job: &FrameJob,
+        frame: &Measured,
+    ) -> Result<(), CommandError> {
+        let run = frame.trace(case, &self.scene, [job.width, job.height]);
+        run.check().map_err(CommandError::Failed)?;
+        let name = format!("trace-{}-{}-{}.json", case.link.name, case.balance, case.speeds.len());
+        folder.write(&name, &serde_json::to_vec(&TraceFile::new(&run)).map_err(CommandError::failed)?)
     }
 
     /// The frame of packs of which nothing, the mesh, the tree or both are compressed, as the paper's Table 7 has it: milliseconds of one device,
@@ -157,12 +180,11 @@ impl<'a> Studio<'a> {
         recorded.iter().map(time).collect()
     }
 
-    /// How pixels travel: as is asked for; the paper's ways send them raw, as the paper did.
+    /// How pixels travel: as is asked for, or as usual.
     fn coding(&self, balance: Balance) -> Option<Coding> {
         match self.args.coding {
             Some(coding) => coding.0,
-            None if matches!(balance, Balance::PaperStatic | Balance::PaperDynamic) => Some(Coding::Raw),
-            None => None,
+            None => usual_coding(balance),
         }
     }
 
@@ -193,11 +215,21 @@ impl<'a> Studio<'a> {
             bytes: measured.bytes,
             tile: measured.tile,
             busy_share: measured.busy_share(case.speeds.len()),
+            after_ms: measured.after_ms(),
+            messages: measured.master.messages,
+            master_ms: ms(measured.master.busy),
+            master_cpu_ms: ms(measured.master_cpu),
+            tiles: measured.tiles,
             dropped: measured.dropped,
             predicted_ms,
             why: measured.why.clone(),
         }
     }
+}
+
+/// How pixels travel unless something else is asked for: the paper's ways send them raw, as the paper did; none leaves it to the cluster.
+pub fn usual_coding(balance: Balance) -> Option<Coding> {
+    matches!(balance, Balance::PaperStatic | Balance::PaperDynamic).then_some(Coding::Raw)
 }
 
 /// Frames before the measured ones, in which a balancing learns. Those that learn nothing have one, in which caches are cold.
@@ -217,20 +249,6 @@ fn job(args: &ClusterArgs, prepared: &Prepared) -> Result<(String, FrameJob), Co
         .pose
         .to_local(&prepared.pack.frame(), width, height)
         .map_err(|e| CommandError::Usage(format!("the camera cannot be used: {e}")))?;
-    let job = FrameJob {
-        camera,
-        width,
-        height,
-        tile: 128,
-        samples: 1,
-        sampling: Sampling::default(),
-        depth: 8,
-        seed: 0,
-        features: Features::default(),
-        format: PixelFormat::Rgba8,
-        balance: Balance::default(),
-        mix: false,
-        coding: None,
-    };
+    let job = FrameJob::new(camera, width, height);
     Ok((chosen.name.clone(), job))
 }

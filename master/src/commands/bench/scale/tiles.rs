@@ -2,7 +2,6 @@
 
 use super::args::{ClusterArgs, balances, chosen_balances, tile};
 use super::case::{Row, median};
-use super::devices;
 use super::link::LinkProfile;
 use super::paper::{SIDES, TABLE_8};
 use super::report::distinct;
@@ -45,7 +44,7 @@ pub struct TilesArgs {
 pub fn run(args: &TilesArgs, progress: &Progress) -> Result<(), CommandError> {
     let link = LinkProfile::find(&args.link).map_err(CommandError::Usage)?;
     let balances = chosen_balances(&args.balance).map_err(CommandError::Usage)?;
-    let clusters = args.workers.iter().map(|&n| devices::speeds(&args.cluster.device_speed, n as usize));
+    let clusters = args.workers.iter().map(|&n| args.cluster.speeds(n));
     let clusters = clusters.collect::<Result<Vec<_>, _>>().map_err(CommandError::Usage)?;
     let out = args.cluster.out.as_deref().map(Folder::check).transpose()?;
     let studio = Studio::open(&args.cluster, progress)?;
@@ -54,7 +53,7 @@ pub fn run(args: &TilesArgs, progress: &Progress) -> Result<(), CommandError> {
     let mut rows = Vec::new();
     for speeds in &clusters {
         let _bar = progress.step(format!("{} workers on {}", speeds.len(), link.name));
-        studio.measure_cluster(&link, speeds, &ways, progress, &mut rows)?;
+        studio.measure_cluster(&link, speeds, &ways, None, progress, &mut rows)?;
     }
     if let Some(out) = &out {
         let mut table = Vec::new();

@@ -8,6 +8,7 @@ use super::recorded::Recorded;
 use super::report::{Report, prediction_error};
 use super::sim::{Costs, Fault};
 use super::simulated::Simulated;
+use super::studio::usual_coding;
 use crate::commands::{CommandError, print_json, print_text};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -15,8 +16,7 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Duration;
 use tessera_geometry::{LocalCamera, Vec3};
-use tessera_master::{Balance, FrameJob, PixelFormat};
-use tessera_wire::{Features, Sampling};
+use tessera_master::{Balance, FrameJob};
 
 /// Clusters that were not measured.
 #[derive(Debug, Args)]
@@ -182,12 +182,13 @@ fn predict(
     let mut parts = Vec::new();
     for (number, &(first_row, height)) in bands.iter().enumerate() {
         let share = |i: usize| i * case.speeds.len() / bands.len();
-        let speeds = case.speeds[share(number)..share(number + 1)].to_vec();
+        let own = share(number)..share(number + 1);
+        let speeds = case.speeds[own.clone()].to_vec();
         let band = Case { speeds, ..case.clone() };
         let job = job([report.size[0], height], case.balance);
-        // Faults are of the first master's own workers.
-        let faults = if masters == 1 { faults } else { &[] };
-        let frames = Simulated { first_row, ..*simulated }.run(&band, &job, WARM_UP + COUNTED, faults)?;
+        let faults = faults.iter().filter(|fault| own.contains(&fault.worker()));
+        let faults: Vec<_> = faults.map(|fault| fault.with_worker(fault.worker() - own.start)).collect();
+        let frames = Simulated { first_row, ..*simulated }.run(&band, &job, WARM_UP + COUNTED, &faults)?;
         parts.push(frames[WARM_UP..].to_vec());
     }
     let mid = |values: Vec<f64>| median(&values).unwrap_or(f64::NAN);
@@ -196,7 +197,7 @@ fn predict(
     let last = || parts.iter().filter_map(|part| part.last());
     let bytes: u64 = last().map(|frame| frame.bytes).sum();
     let tiles: u32 = last().map(|frame| frame.tiles).sum();
-    let busiest = last().map(|frame| ms(frame.master)).fold(0.0, f64::max);
+    let busiest = last().map(|frame| ms(frame.master.busy)).fold(0.0, f64::max);
     let (frame_ms, busiest) = if masters == 1 {
         (slowest, busiest)
     } else {
@@ -204,14 +205,15 @@ fn predict(
         let first_ms = f64::from(tiles) * ms(simulated.costs.master_tile);
         (slowest.max(link_ms).max(first_ms) + case.link.latency_ms, busiest.max(first_ms))
     };
-    let work = Duration::from_secs_f64(report.one_worker_s);
+    let work = Duration::from_secs_f64(report.one_worker_s) + simulated.launch * tiles;
     Ok(Prediction {
         workers: case.speeds.len(),
         balance: case.balance.name(),
-        masters,
+        // Where rows do not suffice there are fewer.
+        masters: bands.len() as u32,
         frame_ms,
         ideal_ms: ms(case.ideal(work, bytes)),
-        efficiency: 1e3 * report.one_worker_s / (case.speeds.iter().sum::<f64>() * frame_ms),
+        efficiency: ms(work) / (case.speeds.iter().sum::<f64>() * frame_ms),
         bytes,
         tile: last().next().map_or(0, |frame| frame.tile),
         master_share: busiest / frame_ms,
@@ -236,32 +238,29 @@ fn bands(recorded: &Recorded, height: u32, count: u32) -> Vec<(u32, u32)> {
 
 fn job([width, height]: [u32; 2], balance: Balance) -> FrameJob {
     FrameJob {
-        camera: LocalCamera { origin: Vec3::ZERO, forward: -Vec3::Z, right: Vec3::X, up: Vec3::Y },
-        width,
-        height,
         tile: if balance == Balance::Auto { 0 } else { FrameJob::TILE },
-        samples: 1,
-        sampling: Sampling::default(),
-        depth: 8,
-        seed: 0,
-        features: Features::default(),
-        format: PixelFormat::Rgba8,
+        coding: usual_coding(balance),
         balance,
-        mix: false,
-        coding: None,
+        ..FrameJob::new(
+            LocalCamera { origin: Vec3::ZERO, forward: -Vec3::Z, right: Vec3::X, up: Vec3::Y },
+            width,
+            height,
+        )
     }
 }
 
 fn text(answer: &Answer) -> String {
     let mut out = format!(
-        "{} on {}, simulated\n{:>8} {:>14} {:>12} {:>12} {:>11} {:>6} {:>12}\n",
+        "{} on {}, simulated\n{:>8} {:>8} {:>14} {:>12} {:>12} {:>11} {:>9} {:>6} {:>12}\n",
         answer.scene,
         answer.link,
         "workers",
+        "masters",
         "balancing",
         "ms a frame",
         "ideal ms",
         "efficiency",
+        "master %",
         "tile",
         "bytes"
     );

@@ -9,7 +9,7 @@ use tessera_master::{Balance, Cluster, ClusterConfig, FrameJob, PixelFormat, Pro
 use tessera_pack::Pack;
 use tessera_whitted::stage::look;
 use tessera_whitted::stage::stages::bazaar;
-use tessera_wire::{Features, FrameId, Sampling};
+use tessera_wire::{Features, FrameId};
 use tessera_worker::gpu::probe::cpu_frame;
 use tessera_worker::{Backend, Kernel};
 
@@ -31,19 +31,11 @@ pub const CASES: &[Case] = &[
 /// A frame of so many pixels a side in tiles of `tile`.
 fn job(camera: LocalCamera, side: u32, tile: u32, balance: Balance) -> FrameJob {
     FrameJob {
-        camera,
-        width: side,
-        height: side,
         tile,
-        samples: 1,
-        sampling: Sampling::default(),
-        depth: 8,
-        seed: 0,
         features: Features { shadows: true, reflection: true, refraction: true },
         format: PixelFormat::Rgba16,
         balance,
-        mix: false,
-        coding: None,
+        ..FrameJob::new(camera, side, side)
     }
 }
 

@@ -8,7 +8,7 @@ mod world;
 
 use super::link::LinkProfile;
 use std::time::Duration;
-use tessera_master::{Balance, FrameJob, TileRecord};
+use tessera_master::{Balance, FrameJob, MasterWork, TileRecord};
 use tessera_wire::{Rect, WorkerId};
 
 /// A cluster that is to be simulated.
@@ -45,7 +45,7 @@ pub struct Costs {
 }
 
 impl Default for Costs {
-    /// Measured with `bench scale` on one machine (two cores of an AMD Zen 3, loopback): see `shared/EXACT.md` for what that is worth elsewhere.
+    /// Measured with `bench scale` on one machine (two cores of an AMD Zen 3, loopback).
     fn default() -> Self {
         Self {
             master_tile: Duration::from_micros(40),
@@ -93,6 +93,13 @@ impl Fault {
             Self::Slows { worker, .. } | Self::Dies { worker, .. } | Self::Joins { worker, .. } => worker,
         }
     }
+
+    /// The same for another worker.
+    pub fn with_worker(mut self, number: usize) -> Self {
+        let (Self::Slows { worker, .. } | Self::Dies { worker, .. } | Self::Joins { worker, .. }) = &mut self;
+        *worker = number;
+        self
+    }
 }
 
 /// A simulated frame.
@@ -104,8 +111,8 @@ pub struct Frame {
     pub bytes: u64,
     /// Its results.
     pub tiles: Vec<TileRecord>,
-    /// How long the master worked.
-    pub master: Duration,
+    /// What the master did.
+    pub master: MasterWork,
     /// Results that were dropped.
     pub dropped: u64,
     /// Side of its tiles, and how many there are.

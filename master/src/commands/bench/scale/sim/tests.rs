@@ -4,25 +4,20 @@ use super::*;
 use tessera_geometry::{LocalCamera, Vec3};
 use tessera_master::slow::{Change, explain};
 use tessera_master::trace::{FrameTrace, RunTrace, TraceTile, TraceWorker};
-use tessera_wire::{Coding, Features, PixelFormat, Sampling};
+use tessera_wire::Coding;
 
 const MILLISECOND: Duration = Duration::from_millis(1);
 
 fn job(side: u32, tile: u32, balance: Balance) -> FrameJob {
     FrameJob {
-        camera: LocalCamera { origin: Vec3::ZERO, forward: -Vec3::Z, right: Vec3::X, up: Vec3::Y },
-        width: side,
-        height: side,
         tile,
-        samples: 1,
-        sampling: Sampling::default(),
-        depth: 8,
-        seed: 0,
-        features: Features::default(),
-        format: PixelFormat::Rgba8,
         balance,
-        mix: false,
         coding: Some(Coding::Lossless),
+        ..FrameJob::new(
+            LocalCamera { origin: Vec3::ZERO, forward: -Vec3::Z, right: Vec3::X, up: Vec3::Y },
+            side,
+            side,
+        )
     }
 }
 
@@ -150,8 +145,19 @@ fn auto_stands_unequal_workers() {
     let slows = [Fault::Slows { worker: 3, at: Duration::from_secs(2), times: 4.0 }];
     let found = frames(&wired, &speeds, Balance::Auto, 12, &slows);
     speeds[3] = 0.25;
-    let worst = found[7..].iter().map(|frame| ratio(frame.took, ideal(&wired, &speeds))).fold(0.0, f64::max);
-    assert!(worst <= 1.25, "one of eight at a quarter: {worst:.3}");
+    let mut end = Duration::ZERO;
+    let hit = found.iter().position(|frame| {
+        end += frame.took;
+        end > Duration::from_secs(2)
+    });
+    let hit = hit.expect("frames of more than two seconds");
+    let ratios: Vec<_> = found.iter().map(|frame| ratio(frame.took, ideal(&wired, &speeds))).collect();
+    // The frame in which that happens too: tiles that it has begun are others' before it is done with them.
+    let worst = ratios[hit..].iter().copied().fold(0.0, f64::max);
+    assert!(
+        hit > 2 && ratios.len() > hit + 4 && worst <= 1.25,
+        "one of eight at a quarter: {ratios:.3?}, in {hit}"
+    );
     // Speeds of 0.4 to 1.6.
     let speeds: Vec<_> = (0..8).map(|i| 0.4 + 1.2 * f64::from(i) / 7.0).collect();
     let spread = ratio(settled(&wired, &speeds, Balance::Auto), ideal(&wired, &speeds));
@@ -226,6 +232,7 @@ fn why_slow_names_the_planted_cause() {
     let even = tile_cost(20.0);
     let one_costs_more =
         |_: usize, rect: Rect| if (rect.x, rect.y) == (896, 896) { 400 } else { 5 } * MILLISECOND;
+    let one_column = |_: usize, rect: Rect| if rect.x == 384 { 60 } else { 10 } * MILLISECOND;
     let mut slow_link = link("lan100");
     (slow_link.mbit_up, slow_link.mbit_down) = (Some(20.0), Some(20.0));
     let eight = vec![1.0; 8];
@@ -245,6 +252,7 @@ fn why_slow_names_the_planted_cause() {
         usual,
         Change::LargerTiles,
     );
+    check(&wired, &eight, &one_column, &raw(128, Balance::PaperStatic), usual, Change::Balancing);
     check(&wired, &[1.0; 2], &even, &raw(128, dynamic), usual, Change::MoreWorkers);
     check(&wired, &eight, &tile_cost(5.0), &raw(64, dynamic), busy, Change::SecondMaster);
 }
@@ -263,7 +271,6 @@ fn check(
     };
     let plot = Plot { link, speeds, cost, coded: &coded, job, frames: 2, costs, faults: &[] };
     let frame = simulate(&plot).expect("frames end").remove(1);
-    let messages = 2 * u64::from(frame.count);
     let round_trip_us = Some((2e3 * link.latency_ms) as u64);
     let run = RunTrace {
         version: RunTrace::VERSION,
@@ -280,8 +287,8 @@ fn check(
             send_scene_us: 0,
             render_us: frame.took.as_micros() as u64,
             frame_us: frame.took.as_micros() as u64,
-            master_us_per_message: Some(1e6 * frame.master.as_secs_f64() / messages as f64),
-            messages: Some(messages),
+            master_us_per_message: Some(1e6 * frame.master.busy.as_secs_f64() / frame.master.messages as f64),
+            messages: Some(frame.master.messages),
             tiles: frame.tiles.iter().map(TraceTile::from).collect(),
         }],
     };

@@ -6,6 +6,7 @@ use crate::commands::bench::scale::medium::{Direction, Medium};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap, VecDeque};
 use std::time::Duration;
+use tessera_master::MasterWork;
 use tessera_master::coordinator::{Coordinator, FrameStatus, Output};
 use tessera_wire::{
     Abilities, AbortCode, BatchHeader, Coding, FrameId, Hello, PackId, Rays, Rect, Role, TileCoding,
@@ -25,7 +26,7 @@ pub struct World<'a> {
     now: Duration,
     /// Until when the master is at work, and how long it was in all.
     busy_until: Duration,
-    busy: Duration,
+    work: MasterWork,
     /// When its deadline was looked at last.
     looked: Duration,
     /// When the first frame began.
@@ -95,7 +96,7 @@ impl<'a> World<'a> {
             scheduled: 0,
             now: Duration::ZERO,
             busy_until: Duration::ZERO,
-            busy: Duration::ZERO,
+            work: MasterWork::default(),
             looked: Duration::ZERO,
             begun: Duration::ZERO,
             frame: 0,
@@ -142,7 +143,8 @@ impl<'a> World<'a> {
         self.frame = number;
         let count =
             |world: &Self| world.crew.iter().flat_map(|w| [&w.up, &w.down]).map(|way| way.bytes).sum::<u64>();
-        let (before, busy) = (count(self), self.busy);
+        let before = count(self);
+        self.work = MasterWork::default();
         let round_trip = Duration::from_secs_f64(2e-3 * self.plot.link.latency_ms) + 2 * self.plot.costs.wake;
         for worker in 0..self.crew.len() {
             self.master.round_trip(id(worker), round_trip);
@@ -169,7 +171,7 @@ impl<'a> World<'a> {
             took: outcome.timings.frame,
             bytes: after - before,
             tiles: outcome.tiles,
-            master: self.busy - busy,
+            master: self.work,
             dropped: outcome.dropped_tiles,
             tile: outcome.tile,
             count: outcome.count,
@@ -288,7 +290,8 @@ impl<'a> World<'a> {
                         Upward::Message(_) => costs.master_message,
                     };
                     self.busy_until = self.busy_until.max(self.now + costs.wake) + takes;
-                    self.busy += takes;
+                    self.work.busy += takes;
+                    self.work.messages += 1;
                     self.schedule(self.busy_until, Happening::Master(worker, Box::new(input)));
                 }
                 Direction::Down => {
@@ -314,7 +317,8 @@ impl<'a> World<'a> {
             match output {
                 Output::Send(worker, message) => {
                     at += self.plot.costs.master_message;
-                    self.busy += self.plot.costs.master_message;
+                    self.work.busy += self.plot.costs.master_message;
+                    self.work.messages += 1;
                     self.busy_until = self.busy_until.max(at);
                     let bytes = codec::encode(&message).map_or(0, |bytes| bytes.len());
                     let worker = worker.0 as usize;

@@ -43,19 +43,15 @@ pub fn slope() -> Result<Pack, String> {
 pub fn job(pack: &Pack, [width, height]: [u32; 2], tile: u32, format: PixelFormat) -> FrameJob {
     let origin = pack.frame().to_local(DVec3::new(0.2, 0.1, 3.0));
     FrameJob {
-        camera: LocalCamera { origin, forward: -Vec3::Z, right: Vec3::X * 0.6, up: Vec3::Y * 0.4 },
-        width,
-        height,
         tile,
-        samples: 1,
-        sampling: Default::default(),
         depth: 2,
-        seed: 0,
-        features: tessera_wire::Features::default(),
         format,
         balance: Balance::Dynamic,
-        mix: false,
-        coding: None,
+        ..FrameJob::new(
+            LocalCamera { origin, forward: -Vec3::Z, right: Vec3::X * 0.6, up: Vec3::Y * 0.4 },
+            width,
+            height,
+        )
     }
 }
 

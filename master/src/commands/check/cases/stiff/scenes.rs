@@ -5,7 +5,7 @@ use tessera_geometry::wide::{ALL_LANES, LANES};
 use tessera_geometry::{DVec3, Hit, LocalCamera, Ray, Vec3};
 use tessera_kdtree::{Kernel, brute_force_closest_hits};
 use tessera_master::prepare::{PrepareOptions, Prepared, prepare_scene};
-use tessera_master::{Balance, FrameJob, PixelFormat};
+use tessera_master::{Balance, FrameJob};
 use tessera_pack::{
     Light, LightKind, Material, MaterialFlags, Pack, PackInput, PackOptions, Plain, build_pack,
 };
@@ -73,19 +73,15 @@ pub fn corner_job(pack: &Pack, tile: u32, cutoff: f32, balance: Balance) -> Fram
     // From a hundred units away, so that the panes stay within their tile.
     let origin = pack.frame().to_local(DVec3::new(0.0, 0.0, 100.0));
     FrameJob {
-        camera: LocalCamera { origin, forward: -Vec3::Z, right: Vec3::X * 0.01, up: Vec3::Y * 0.01 },
-        width: tile * CORNER_TILES,
-        height: tile * CORNER_TILES,
         tile,
-        samples: 1,
         sampling: tessera_wire::Sampling { cutoff, ..Default::default() },
         depth: DEPTH,
-        seed: 0,
-        features: tessera_wire::Features::default(),
-        format: PixelFormat::Rgba8,
         balance,
-        mix: false,
-        coding: None,
+        ..FrameJob::new(
+            LocalCamera { origin, forward: -Vec3::Z, right: Vec3::X * 0.01, up: Vec3::Y * 0.01 },
+            tile * CORNER_TILES,
+            tile * CORNER_TILES,
+        )
     }
 }
 

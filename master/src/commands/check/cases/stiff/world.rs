@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 use tessera_geometry::{LocalCamera, Vec3};
 use tessera_master::coordinator::{Coordinator, Event, FrameStatus, Output};
-use tessera_master::{Balance, FrameJob, PixelFormat};
+use tessera_master::{Balance, FrameJob};
 use tessera_wire::{
-    Abilities, Features, FrameId, Hello, PackId, Rays, Rect, Role, TileEntry, TileId, ToMaster, ToWorker,
-    Token, Version, WorkerId,
+    Abilities, FrameId, Hello, PackId, Rays, Rect, Role, TileEntry, TileId, ToMaster, ToWorker, Token,
+    Version, WorkerId,
 };
 use tessera_worker::session::{Action, Batch, RenderTask, RenderedTile, Session, TileName};
 
@@ -83,19 +83,14 @@ pub fn render(trial: &Trial<'_>) -> Result<Course, String> {
 
 fn job(trial: &Trial<'_>) -> FrameJob {
     FrameJob {
-        camera: LocalCamera { origin: Vec3::ZERO, forward: -Vec3::Z, right: Vec3::X, up: Vec3::Y },
-        width: trial.tiles[1] * SIDE,
-        height: trial.tiles[0] * SIDE,
         tile: SIDE,
-        samples: 1,
-        sampling: Default::default(),
         depth: 1,
-        seed: 0,
-        features: Features::default(),
-        format: PixelFormat::Rgba8,
         balance: trial.balance,
-        mix: false,
-        coding: None,
+        ..FrameJob::new(
+            LocalCamera { origin: Vec3::ZERO, forward: -Vec3::Z, right: Vec3::X, up: Vec3::Y },
+            trial.tiles[1] * SIDE,
+            trial.tiles[0] * SIDE,
+        )
     }
 }
 
