@@ -13,14 +13,21 @@ use tessera_wire::Coding;
 /// ```
 ///
 /// The costs are counted in full, though rendering and other workers may hide them, and so may the link's time be hidden: where neither is, the
-/// sums decide; where both are, it does not matter. A link that has delivered before it was asked seems faster than it is; that
-/// happens only where unpacking is slower than it, and there pixels ought to travel raw.
+/// sums decide; where both are, it does not matter. A link seems faster than it is that has delivered before it was asked, or takes a few small
+/// tiles at a time at once, and would not take all of them raw. Only frames that travel raw show that, and cost several times as much where it
+/// is so: it is tried when several frames agree, and ever more rarely when it was wrong.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct CodingChoice {
     /// Seconds a byte on the wire.
     link: Option<f64>,
     packing: Option<Packing>,
     last: Option<Coding>,
+    /// Frames in a row that something else would have suited better.
+    agreed: u32,
+    /// Frames in a row that have travelled raw.
+    raw: u32,
+    /// Times that pixels travelled raw, and that was soon found to be wrong.
+    mistakes: u32,
 }
 
 /// What packing was like when it was last done.
@@ -60,6 +67,15 @@ impl CodingChoice {
     /// What is chosen must be better by so much than what was chosen before, or two that are about as good would alternate.
     const BETTER: f64 = 1.25;
 
+    /// So many frames in a row must have been better raw before one is,
+    const AGREED: u32 = 2;
+
+    /// and four times as many after each time that that was wrong, up to 2 to this power.
+    const RARELY: u32 = 8;
+
+    /// That many raw frames are soon.
+    const SOON: u32 = 4;
+
     /// How the next frame's pixels travel, where that is left to us: raw within this process, packed as long as nothing is known.
     pub(crate) fn choose(&mut self, is_remote: bool) -> Coding {
         if !is_remote {
@@ -68,15 +84,28 @@ impl CodingChoice {
         let coding = match (self.link, self.packing) {
             (Some(link), Some(Packing { ratio, cost })) => {
                 let saved = link * (1.0 - ratio).max(0.0);
-                match self.last {
-                    Some(Coding::Raw) if saved > Self::BETTER * cost => Coding::Lossless,
-                    Some(Coding::Raw) => Coding::Raw,
-                    _ if cost > Self::BETTER * saved => Coding::Raw,
-                    _ => Coding::Lossless,
+                let is_raw = self.last == Some(Coding::Raw);
+                let is_better =
+                    if is_raw { saved > Self::BETTER * cost } else { cost > Self::BETTER * saved };
+                self.agreed = if is_better { self.agreed + 1 } else { 0 };
+                match (is_raw, is_better) {
+                    (true, true) => {
+                        // (After more frames it is the link that has changed.)
+                        self.mistakes += u32::from(self.raw <= Self::SOON);
+                        (self.agreed, self.raw) = (0, 0);
+                        Coding::Lossless
+                    }
+                    (true, false) => Coding::Raw,
+                    (false, _) if self.agreed >= Self::AGREED << (2 * self.mistakes).min(Self::RARELY) => {
+                        self.agreed = 0;
+                        Coding::Raw
+                    }
+                    (false, _) => Coding::Lossless,
                 }
             }
             _ => Coding::Lossless,
         };
+        self.raw += u32::from(coding == Coding::Raw);
         self.last = Some(coding);
         coding
     }
@@ -153,6 +182,22 @@ mod tests {
             let first = settled(&mut choice, rate);
             assert_eq!(settled(&mut choice, rate), first, "{rate}");
         }
+    }
+
+    #[test]
+    fn a_link_that_seems_fast_until_much_is_sent_is_tried_ever_more_rarely() {
+        let mut choice = CodingChoice::default();
+        let mut raw = Vec::new();
+        for frame in 0..500 {
+            let coding = choice.choose(true);
+            let rate = if coding == Coding::Raw { 5.0 } else { 1e3 };
+            choice.learn(&shown(coding, rate));
+            if coding == Coding::Raw {
+                raw.push(frame);
+            }
+        }
+        assert!((3..10).contains(&raw.len()), "{raw:?}");
+        assert!(raw.last() > Some(&100), "it is tried again some time: {raw:?}");
     }
 
     #[test]

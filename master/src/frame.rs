@@ -424,6 +424,13 @@ pub struct Timings {
     pub frame: Duration,
 }
 
+impl MasterWork {
+    /// Microseconds for each message; `None` where there was none.
+    pub fn us_per_message(&self) -> Option<f64> {
+        (self.messages > 0).then(|| 1e6 * self.busy.as_secs_f64() / self.messages as f64)
+    }
+}
+
 impl Traffic {
     /// What has come to `earlier` since then.
     pub fn since(&self, earlier: &Self) -> Self {

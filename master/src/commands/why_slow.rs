@@ -12,7 +12,7 @@ use tessera_master::trace::RunTrace;
 #[derive(Debug, Args)]
 #[command(
     long_about = "Say where the time of a measured run went, and the one change that would help most\n\n\
-        Reads what render and demo write with --trace. Every moment of every worker is given to one of five: render (a tile of the image \
+        Reads what render and demo write with --trace, and bench scale with --traces. Every moment of every worker is given to one of five: render (a tile of the image \
         was rendered), link (it waited for words or pixels on their way), imbalance (others had tiles that they had not begun), tail (it waited \
         for the last tile), master (the rest: handing out, putting together, what lies between two tiles). What a change would bring is estimated as if \
         nothing else changed.",
@@ -21,7 +21,7 @@ use tessera_master::trace::RunTrace;
         \x20 tessera why-slow trace.json --json"
 )]
 pub struct WhySlowArgs {
-    /// A file that --trace has written
+    /// A file that --trace or --traces has written
     #[arg(value_name = "FILE")]
     file: PathBuf,
     /// Print one JSON object on stdout, and nothing else

@@ -40,6 +40,8 @@ pub struct Trials {
     of: (usize, u32),
     /// Frame time over the time of its work, smoothed, by way.
     ratios: [Option<f64>; 4],
+    /// Frames that each was tried in.
+    tried: [u32; 4],
     /// Frames since the best way was last in doubt.
     settled: u32,
 }
@@ -53,6 +55,13 @@ const DOUBT_AFTER: u32 = 32;
 /// Weight of a new ratio: a frame that something else has disturbed is not the measure of the next thirty.
 const GAIN: f64 = 0.4;
 
+/// And it counts as so many times what was known at most: a frame in which something else went wrong says little of its way.
+const SURPRISE: f64 = 1.3;
+
+/// Over the number of its trials, the part of a ratio that may be bad luck: a way that was tried once, while little was known of costs and
+/// speeds, is tried again if it was not worse than the best by more.
+const LUCK: f64 = 0.12;
+
 impl Trials {
     /// A frame of `workers` and `tiles` that was handed out in `way` took `ratio` times what its work takes.
     pub(super) fn note(&mut self, way: usize, workers: usize, tiles: u32, ratio: f64) {
@@ -60,14 +69,15 @@ impl Trials {
             *self = Self { of: (workers, tiles), ..Self::default() };
         }
         let known = &mut self.ratios[way];
-        *known = Some(known.map_or(ratio, |old| old + GAIN * (ratio - old)));
+        *known = Some(known.map_or(ratio, |old| old + GAIN * (ratio.min(SURPRISE * old) - old)));
+        self.tried[way] += 1;
         self.settled += 1;
         if self.settled > DOUBT_AFTER && self.best().is_some_and(|(_, ratio)| ratio > GOOD) {
             let best = self.best().map(|(way, _)| way);
             self.settled = 0;
             // The others are forgotten: what was bad then may be good now.
             for way in Way::ALL.into_iter().filter(|way| Some(*way) != best) {
-                self.ratios[way as usize] = None;
+                (self.ratios[way as usize], self.tried[way as usize]) = (None, 0);
             }
         }
     }
@@ -75,6 +85,16 @@ impl Trials {
     fn best(&self) -> Option<(Way, f64)> {
         let known = Way::ALL.into_iter().filter_map(|way| Some((way, self.ratios[way as usize]?)));
         known.min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// The one that is the best with as much luck as its trials leave room for.
+    fn promising(&self) -> Option<Way> {
+        let with_luck = |way: Way| {
+            let luck = LUCK / f64::from(self.tried[way as usize].max(1));
+            Some((way, self.ratios[way as usize]? * (1.0 - luck)))
+        };
+        let known = Way::ALL.into_iter().filter_map(with_luck);
+        known.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(way, _)| way)
     }
 
     /// The way of the next frame, and why.
@@ -93,13 +113,23 @@ impl Trials {
                         );
                         (untried, why)
                     }
-                    None => (
-                        best,
-                        format!(
-                            "{} is the best of all that were tried, {ratio:.2} of its work's time",
-                            best.name()
-                        ),
-                    ),
+                    None => match self.promising().filter(|way| *way != best) {
+                        Some(again) => {
+                            let why = format!(
+                                "{} is the best of all that were tried, {ratio:.2} of its work's time; {} is tried again",
+                                best.name(),
+                                again.name()
+                            );
+                            (again, why)
+                        }
+                        None => {
+                            let why = format!(
+                                "{} is the best of all that were tried, {ratio:.2} of its work's time",
+                                best.name()
+                            );
+                            (best, why)
+                        }
+                    },
                 }
             }
             Some((best, ratio)) => (best, format!("{} takes {ratio:.2} of its work's time", best.name())),

@@ -6,7 +6,7 @@ mod place;
 pub use events::{Event, TraceFile};
 pub use place::{Placed, WorkerSpans, place};
 
-use crate::{FrameJob, FrameResult, MasterWork, TileRecord, WorkerReport};
+use crate::{FrameJob, FrameResult, TileRecord, WorkerReport};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -165,13 +165,12 @@ impl FrameTrace {
     /// Of one frame; to be added to the frames of a run with the same workers. The scene is sent once: of later frames that time is to be left out.
     pub fn of<I>(result: &FrameResult<I>) -> Self {
         let timings = &result.timings;
-        let MasterWork { busy, messages } = result.master;
         Self {
             send_scene_us: micros(timings.send_scene),
             render_us: micros(timings.render),
             frame_us: micros(timings.frame),
-            master_us_per_message: (messages > 0).then(|| 1e6 * busy.as_secs_f64() / messages as f64),
-            messages: (messages > 0).then_some(messages),
+            master_us_per_message: result.master.us_per_message(),
+            messages: Some(result.master.messages).filter(|messages| *messages > 0),
             tiles: result.tiles.iter().map(TraceTile::from).collect(),
         }
     }

@@ -143,7 +143,6 @@ impl Measured {
     pub fn trace(&self, case: &Case, scene: &str, size: [u32; 2]) -> RunTrace {
         let workers = self.workers.iter().zip(&case.speeds);
         let us = |time: Duration| time.as_micros() as u64;
-        let MasterWork { busy, messages } = self.master;
         RunTrace {
             version: RunTrace::VERSION,
             scene: scene.into(),
@@ -156,8 +155,8 @@ impl Measured {
             frames: vec![FrameTrace {
                 render_us: us(self.took),
                 frame_us: us(self.took),
-                master_us_per_message: (messages > 0).then(|| 1e6 * busy.as_secs_f64() / messages as f64),
-                messages: (messages > 0).then_some(messages),
+                master_us_per_message: self.master.us_per_message(),
+                messages: Some(self.master.messages).filter(|messages| *messages > 0),
                 tiles: self.records.iter().map(TraceTile::from).collect(),
                 ..FrameTrace::default()
             }],

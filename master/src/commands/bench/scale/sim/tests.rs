@@ -287,7 +287,7 @@ fn check(
             send_scene_us: 0,
             render_us: frame.took.as_micros() as u64,
             frame_us: frame.took.as_micros() as u64,
-            master_us_per_message: Some(1e6 * frame.master.busy.as_secs_f64() / frame.master.messages as f64),
+            master_us_per_message: frame.master.us_per_message(),
             messages: Some(frame.master.messages),
             tiles: frame.tiles.iter().map(TraceTile::from).collect(),
         }],
