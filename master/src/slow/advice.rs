@@ -222,11 +222,12 @@ impl Found<'_> {
             let speeds: Vec<_> = self.run.workers.iter().filter_map(|worker| worker.speed).collect();
             Some(median(speeds)? / self.run.workers.get(number)?.speed?)
         };
-        let beside = median(self.sums.of_workers.get(number)?.beside.clone());
-        let times = beside.or_else(by_speed).or_else(|| (!self.is_dealt()).then_some(mean))?;
-        // One costly tile among many does not make a worker slow.
-        let is_one_tile = self.sums.last_tile >= COSTLY;
-        (times >= SLOW && times.is_finite() && !is_one_tile).then_some((number, times))
+        // One costly tile among many does not make a worker slow: it hardly moves the median, and decides the mean.
+        let beside = &self.sums.of_workers.get(number)?.beside;
+        let beside = median(beside.clone()).filter(|_| beside.len() > 1);
+        let mean = Some(mean).filter(|_| !self.is_dealt() && self.sums.last_tile < COSTLY);
+        let times = beside.or_else(by_speed).or(mean)?;
+        (times >= SLOW && times.is_finite()).then_some((number, times))
     }
 }
 
