@@ -234,7 +234,8 @@ fn links_that_cannot_be_are_refused() {
 }
 
 /// Prints what the phone's link, or the one in `TESSERA_LINK`, makes of the times of Seo, Park, Ihm 2022 (Table 9, Sponza): `links/phone.toml`
-/// is fitted by it.
+/// is fitted by it. By hand: `cargo test --release --test tests phones_beside -- --ignored --nocapture`; the ranking that the fit is for is tested
+/// in the simulator.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "prints figures"]
 async fn phones_beside_the_papers_times() {

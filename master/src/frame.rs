@@ -273,7 +273,7 @@ pub struct FrameResult<I = FrameBuffer> {
 /// What the thread that leads the cluster has done. Others beside it receive, decrypt and unpack.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MasterWork {
-    /// How long it was at work.
+    /// How long it was at work, by the clock on the wall, without planning the frame.
     pub busy: Duration,
     /// Messages that it took and sent; a tile's result is one.
     pub messages: u64,

@@ -224,7 +224,7 @@ impl FrameQueue<'_> {
     /// Begins what may be begun.
     fn begin(&mut self) -> Result<(), RenderError> {
         let SequenceConfig { groups, depth, .. } = self.config;
-        while let Some(next) = self.waiting.front() {
+        while let Some(next) = self.waiting.front_mut() {
             let group = self.begun % groups;
             let unfinished = self.under_way.iter().filter(|frame| frame.done.is_none());
             let of_group = unfinished.clone().filter(|frame| frame.group == group).count();
@@ -233,10 +233,12 @@ impl FrameQueue<'_> {
                 return Ok(());
             }
             self.cluster.measure_links();
-            let job = self.cluster.coded(&next.job);
+            // (Chosen once: one that finds no room asks again with every event.)
+            next.job = self.cluster.coded(&next.job);
+            let job = &next.job;
             let now = self.cluster.now();
             self.cluster.counters.tile_bytes.fetch_max(job.tile_bytes(), Ordering::Relaxed);
-            let frame = self.cluster.coordinator.begin_in(&job, Group { index: group, count: groups }, now);
+            let frame = self.cluster.coordinator.begin_in(job, Group { index: group, count: groups }, now);
             let frame = match frame {
                 Err(BeginError::Full) if unfinished.count() > 0 => return Ok(()),
                 frame => frame?,

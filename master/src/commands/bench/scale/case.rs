@@ -142,7 +142,6 @@ impl Measured {
     /// What `tessera why-slow` and trace viewers read.
     pub fn trace(&self, case: &Case, scene: &str, size: [u32; 2]) -> RunTrace {
         let workers = self.workers.iter().zip(&case.speeds);
-        let us = |time: Duration| time.as_micros() as u64;
         RunTrace {
             version: RunTrace::VERSION,
             scene: scene.into(),
@@ -152,25 +151,26 @@ impl Measured {
             size,
             tile: self.tile,
             workers: workers.map(|(w, &speed)| TraceWorker { speed: Some(speed), ..w.clone() }).collect(),
-            frames: vec![FrameTrace {
-                render_us: us(self.took),
-                frame_us: us(self.took),
-                master_us_per_message: self.master.us_per_message(),
-                messages: Some(self.master.messages).filter(|messages| *messages > 0),
-                tiles: self.records.iter().map(TraceTile::from).collect(),
-                ..FrameTrace::default()
-            }],
+            frames: vec![self.frame_trace()],
+        }
+    }
+
+    fn frame_trace(&self) -> FrameTrace {
+        let us = self.took.as_micros() as u64;
+        FrameTrace {
+            render_us: us,
+            frame_us: us,
+            master_us_per_message: self.master.us_per_message(),
+            messages: Some(self.master.messages).filter(|messages| *messages > 0),
+            tiles: self.records.iter().map(TraceTile::from).collect(),
+            ..FrameTrace::default()
         }
     }
 
     /// From the last tile's rendering to the complete image, in milliseconds.
     pub fn after_ms(&self) -> f64 {
-        let frame = FrameTrace {
-            frame_us: self.took.as_micros() as u64,
-            tiles: self.records.iter().map(TraceTile::from).collect(),
-            ..FrameTrace::default()
-        };
-        frame.after_rendering_us(&self.workers).map_or(f64::NAN, |us| 1e-3 * us as f64)
+        let after = self.frame_trace().after_rendering_us(&self.workers);
+        after.map_or(f64::NAN, |us| 1e-3 * us as f64)
     }
 
     /// Time that tiles took, all together, over that of `workers`.
